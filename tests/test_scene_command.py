@@ -30,7 +30,7 @@ from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.loading import whole_scene
 from tankrig.scene.writing import scene_text
 from ui.cli import main
-from ui.cli.fit import Measured, RawPicture
+from ui.cli.raw_picture import Measured, RawPicture
 
 SEQUENCE = """name = "one"
 [patterns.ray]

@@ -183,6 +183,40 @@ def next_pictures(
     SequenceError
         With more sheets or cells than are computed, or where the projector lights none.
     """
+    _require_designable(cells, bench)
+    smaller, by = designing_camera(camera)
+    liquid = known.liquid(dose_ml)
+    liquids = list(dict.fromkeys(nearby(one) for one in thought_possible(liquid, sd)))
+    gain = known.gain * _sideways(liquid) / _sideways(liquids[0])
+    lights, photographed = _light_in(liquids, known, bench, smaller, cells, taken, progress)
+    brightest = gain * float(lights[0].images.sum(axis=0).max())
+    noise = _noise_up_to(brightest, known, by)
+    prospects = [
+        Prospect(light, gain, noise, known.model_error, known.offset_free, saturation=saturation) for light in lights
+    ]
+    for number, shown in enumerate(photographed):
+        for shot, (radiance, slopes) in zip(taken, shown, strict=True):
+            used = np.ones(smaller.shape, bool) if shot.used is None else _whole(shot.used, by)
+            prospects[number] = prospects[number].with_photograph(radiance, slopes, used, shot.frames)
+    plans = _usual_plans(cells, pictures)
+
+    def worth(light: Array) -> float:
+        each = frames * pictures / len(light)
+        return float(np.mean([one.value(light, each, wanted) for one in prospects]))
+
+    values = {name: worth(light) for name, light in plans.items()}
+    order = sorted(plans, key=lambda name: values[name])
+    shape = pictures, plans["sheet"].size
+    starts = [np.resize(plans[name], shape) for name in order]
+    design = designed(prospects, starts, frames, wanted, limit_s)
+    expected = {name: prospects[0].expected(plans[name], frames * pictures / len(plans[name])) for name in order}
+    bits = (values[order[0]] - worth(design.light)) / math.log(2.0)
+    now = prospects[0].expected(np.zeros((0, shape[1])), frames) if taken else None
+    return NextPictures(design, frames, expected, bits, order[0], now)
+
+
+def _require_designable(cells: Cells, bench: Bench) -> None:
+    """Refuse more sheets or cells than are computed, and sheets that the projector does not light."""
     if len(cells.z_mm) > MOST_SHEETS or len(cells.light[0]) > MOST_CELLS:
         raise SequenceError(
             f"{len(cells.z_mm)} sheets of {len(cells.light[0])} cells are more than the {MOST_SHEETS} of {MOST_CELLS} "
@@ -194,10 +228,13 @@ def next_pictures(
             f"y_mm = {list(cells.y_mm)} reaches beyond what the projector lights, y = {low_mm:g}…{high_mm:g} mm; give "
             "narrower sheets"
         )
-    smaller, by = designing_camera(camera)
-    liquid = known.liquid(dose_ml)
-    liquids = list(dict.fromkeys(nearby(one) for one in thought_possible(liquid, sd)))
-    gain = known.gain * _sideways(liquid) / _sideways(liquids[0])
+
+
+def _light_in(
+    liquids: Sequence[Medium], known: Known, bench: Bench, camera: Camera, cells: Cells, taken: Sequence[Shot],
+    progress: Callable[[float], object],
+) -> tuple[list[CellLight], list[list[tuple[Array, Array]]]]:  # fmt: skip
+    """Light of the cells in each liquid, and of each photograph that was taken, with its derivatives."""
     each = 1.0 / (parts_of(cells).size + len(taken)) / len(liquids)
     lights: list[CellLight] = []
     photographed: list[list[tuple[Array, Array]]] = []
@@ -206,42 +243,31 @@ def next_pictures(
         def share(done: float, number: int = number) -> None:
             progress(number / len(liquids) + done * each * parts_of(cells).size)
 
-        lights.append(cell_light(cells, bench, smaller, one, share, known.family))
+        lights.append(cell_light(cells, bench, camera, one, share, known.family))
         photographed.append([])
         for place, shot in enumerate(taken):
-            photographed[-1].append(pattern_light(shot.scene, smaller, one, known.family))
+            photographed[-1].append(pattern_light(shot.scene, camera, one, known.family))
             progress((number + 1) / len(liquids) - (len(taken) - 1 - place) * each)
-    brightest = gain * float(lights[0].images.sum(axis=0).max())
+    return lights, photographed
+
+
+def _noise_up_to(brightest: float, known: Known, by: int) -> Callable[[Array], Array]:
+    """From the mean of a frame to its variance, where `by` × `by` pixels are put together to one."""
     dark, bright = known.noise(np.array([0.0, brightest])) / by**2
 
     def noise(image: Array) -> Array:
         return np.asarray(dark + (bright - dark) / brightest * image)  # a straight line in the brightness
 
-    prospects = [
-        Prospect(light, gain, noise, known.model_error, known.offset_free, saturation=saturation) for light in lights
-    ]
-    for number, shown in enumerate(photographed):
-        for shot, (radiance, slopes) in zip(taken, shown, strict=True):
-            used = np.ones(smaller.shape, bool) if shot.used is None else _whole(shot.used, by)
-            prospects[number] = prospects[number].with_photograph(radiance, slopes, used, shot.frames)
+    return noise
+
+
+def _usual_plans(cells: Cells, pictures: int) -> dict[str, Array]:
+    """Usual pictures by name, one or, where several are designed, a pair of them too: (pictures, cells) of each."""
     usual = usual_pictures(cells)
     plans = {name: one[None] for name, one in usual.items()}
     if pictures > 1:
         plans |= {f"{one} + {other}": np.stack([usual[one], usual[other]]) for one, other in combinations(usual, 2)}
-
-    def worth(light: Array) -> float:
-        each = frames * pictures / len(light)
-        return float(np.mean([one.value(light, each, wanted) for one in prospects]))
-
-    values = {name: worth(light) for name, light in plans.items()}
-    order = sorted(plans, key=lambda name: values[name])
-    shape = pictures, usual["sheet"].size
-    starts = [np.resize(plans[name], shape) for name in order]
-    design = designed(prospects, starts, frames, wanted, limit_s)
-    expected = {name: prospects[0].expected(plans[name], frames * pictures / len(plans[name])) for name in order}
-    bits = (values[order[0]] - worth(design.light)) / math.log(2.0)
-    now = prospects[0].expected(np.zeros((0, shape[1])), frames) if taken else None
-    return NextPictures(design, frames, expected, bits, order[0], now)
+    return plans
 
 
 def _whole(used: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:

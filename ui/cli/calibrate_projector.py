@@ -19,10 +19,7 @@ from ui.cli.calibrating import (
 from ui.cli.options import bench_option, json_option
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from tankrig.calibration.board import BoardView
-    from tankrig.calibration.lit_corners import LitBoard
+    from tankrig.calibration.file import Calibration
     from tankrig.calibration.projector import ProjectorFound
 
 _SECONDS_A_PICTURE, _SECONDS_A_VIEW = 0.12, 20.0
@@ -52,23 +49,18 @@ def projector(
     evenly; the wall's thickness and index are those of the rig file. The result is a dated file in the folder
     calibration/ beside the rig file, used from then on.
     """
-    from dataclasses import replace
-
-    import numpy as np
-    from rich.markup import escape
-
     from tankrig.calibration.camera import blur_of
     from tankrig.calibration.file import in_force
     from tankrig.calibration.geometry_in_force import camera_pose, lens_of, require, surface_of
-    from tankrig.calibration.gray_code import decode, gray_code_patterns
-    from tankrig.calibration.lit_corners import lit_corners
+    from tankrig.calibration.gray_code import gray_code_patterns
     from tankrig.calibration.pictures import Pictures
     from tankrig.calibration.projector import MOST_RMS_PX, calibrate_projector
-    from tankrig.calibration.projector_halo import CameraStray, half_patterns, seen_of_halves
+    from tankrig.calibration.projector_halo import CameraStray, half_patterns
     from tankrig.calibration.radiometry import Radiometry
     from tankrig.calibration.uncertainty import Named
     from tankrig.figures.geometry_figure import write_geometry_figure
     from tankrig.geometry.refraction import entry_wall
+    from ui.cli.board_light import BoardLight
 
     held = board_of(**board)
     description = described(rig)
@@ -89,37 +81,10 @@ def projector(
         click.echo(f"takes about {seconds / 60.0:.0f} minutes on the bench, handling included", err=True)
         pictures = Pictures(camera, exposure_ms)
         holder = Holder(camera, pictures, held)
-
-        def lit(_: "BoardView") -> "LitBoard | None":
-            with holder.console.status("patterns") as status:
-                frames = pictures.of_patterns(
-                    device,
-                    (*patterns, *halves),
-                    lambda count: status.update(f"patterns: {count} of {len(patterns) + len(halves)}"),
-                )
-            device.show(patterns[0])
-            view = holder.look(frames[0], "  with the patterns")
-            if view is None:
-                return None
-            code, of_halves = frames[: len(patterns)], frames[len(patterns) :]
-            decoded = decode(code, device.shape, camera.saturation)
-            light: NDArray[np.float32] | None = None
-            beside = np.zeros((0, 3))
-            if radiometry and radiometry.knows(pictures.settings.gain):
-                linear = [radiometry.corrected(frame, pictures.settings) for frame in (*frames[:2], *of_halves)]
-                light, *beside_black = ((one - linear[1]).astype("f4") for one in (linear[0], *linear[2:]))
-                if stray and beside_black:
-                    lights = light, beside_black[0], beside_black[1]
-                    beside = seen_of_halves(lights, decoded, stray, device.shape[1] // 2 - 0.5)
-            found = replace(lit_corners(view, decoded, held, light), halves=beside)
-            if found.fault:
-                holder.console.print(f"  [red]not used: {escape(found.fault)}[/red]", highlight=False)
-                return None
-            return found
-
+        light = BoardLight(device, camera, pictures, holder, held, patterns, halves, radiometry, stray)
         device.show(patterns[0])
         with holder:
-            boards = holder.good_views("slant" if empty else "flooded slant", views, lit)
+            boards = holder.good_views("slant" if empty else "flooded slant", views, light.corners)
         name, shape = device.name, device.shape
     tank = description.bench.tank
     pane = (tank.wall_mm, tank.wall_index) if tank.entry == "glass" else (0.0, 1.52)
@@ -144,6 +109,11 @@ def projector(
         accept,
         lambda path: write_geometry_figure(path, f"{name}: lens and place", found, MOST_RMS_PX, found.blur_in_depth),
     )
+    return tell(kept, _rows(found, kept), as_json)
+
+
+def _rows(found: "ProjectorFound", kept: "Calibration") -> dict[str, str]:
+    """What was found, in words."""
     where, sd = kept.result["position_mm"], kept.sd["position_mm"]
     rows = {f"its {axis}": f"{value:.2f} ± {error:.2g} mm" for axis, value, error in zip("xyz", where, sd, strict=True)}
     rows |= {
@@ -152,8 +122,7 @@ def projector(
     rows["corners off by"] = f"{found.rms_px:.3f} projector px rms, {len(found.view_rms_px)} views"
     rows["between corners"] = f"{found.coverage:.0%} of its picture"
     rows["light"] = _evenness(found)
-    rows |= blurred(kept, "projector px") | _in_depth(found) | _halo(found) | left_out(kept)
-    return tell(kept, rows, as_json)
+    return rows | blurred(kept, "projector px") | _in_depth(found) | _halo(found) | left_out(kept)
 
 
 def _evenness(found: "ProjectorFound") -> str:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tankrig.errors import ImageError
-from ui.cli.fit import LEVEL, FreeOrNumber
-from ui.cli.options import FINITE, json_option
+from ui.cli.fit import LEVEL
+from ui.cli.options import FINITE, FreeOrNumber, json_option
 from ui.cli.stages import stages_shown
 from ui.cli.tables import tell_table
 

@@ -5,31 +5,29 @@ import math
 import time
 import warnings
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tankrig.errors import StoreError
-from ui.cli.options import FINITE, FiniteRange, json_option, out_option, scene_option
+from ui.cli.options import FINITE, FiniteRange, FreeOrNumber, json_option, out_option, scene_option
+from ui.cli.raw_picture import Measured, RawPicture, picture_for_fit
 from ui.cli.stages import stages_shown
 from ui.cli.tables import tell_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tankrig.calibration.radiometry import Radiometry
     from tankrig.estimation.estimate import Estimate
     from tankrig.estimation.phase_result import Scattering
     from tankrig.estimation.result import Reconstruction
     from tankrig.live.one_picture import Picture
-    from tankrig.scene import Camera, Medium, Scene
+    from tankrig.scene import Medium
 
 LEVEL = 0.95
 """Of the intervals that are printed."""
-_SAME_MM, _SAME_RAD = 1e-3, 1e-6
-"""By which a camera may stand and be turned otherwise in two files and be the same: what a person's editing rounds."""
+
 FORMAT = "tankrig fit 1"
 """Of the JSON, whose schema is fit-1.schema.json beside this file: keys may be added, and none changes its meaning."""
 
@@ -38,24 +36,6 @@ def _print_schema(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
     if asked and not ctx.resilient_parsing:
         click.echo(Path(__file__).with_name("fit-1.schema.json").read_text(encoding="utf-8").rstrip())
         ctx.exit()
-
-
-class FreeOrNumber(click.ParamType[Any]):
-    """The word "free", or a finite number."""
-
-    name = "free|NUMBER"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Text to "free" or float."""
-        if value == "free" or isinstance(value, float):
-            return value
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            self.fail(f'{value!r} is neither "free" nor a finite number', param, ctx)
-        return number
 
 
 class Edges(click.ParamType[Any]):
@@ -221,7 +201,7 @@ def fit(
     if exposure_ms is not None:
         raw = RawPicture(exposure_ms, gain_setting, subtracted, measured, dark_pattern is not None)
     try:
-        picture = _picture(image_file, scene_file, array, scale, raw, edges, mask)
+        picture = picture_for_fit(image_file, scene_file, array, scale, raw, edges, mask)
     except tankrig.ImageError as error:
         raise error if str(image_file) in str(error) else tankrig.ImageError(f"{image_file}: {error}") from error
     notes = [] if raw is None else raw.notes(picture.scene, scene_file)
@@ -305,107 +285,6 @@ def fit(
         if measured is not None:
             click.echo(f"by       {measured.radiometry_file}")
         click.echo(f"written  {stem}.png, .json, .npz")
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What is in force of a rig that a raw frame was taken with."""
-
-    rig: Path
-    radiometry: "Radiometry"
-    radiometry_file: str
-    camera: "Camera"
-
-    @classmethod
-    def of(cls, rig: Path) -> "Measured":
-        """Of a rig file."""
-        from drivers.rig import calibrated_bench, load_rig_file
-        from tankrig.calibration.file import in_force
-        from tankrig.calibration.radiometry import Radiometry
-
-        description = load_rig_file(rig)
-        bench = calibrated_bench(description)
-        found = in_force(Path(description.calibration_folder), description.calibration)
-        if "radiometry" not in found:
-            raise StoreError(
-                f"{rig}: the camera's radiometry is not calibrated; run tankrig calibrate radiometry, or leave --rig "
-                "out"
-            )
-        return cls(rig, Radiometry.of(found["radiometry"]), str(found["radiometry"].path), bench.camera)
-
-
-@dataclass(frozen=True)
-class RawPicture:
-    """How a raw frame was taken, and what is known of the bench that it was taken on."""
-
-    exposure_ms: float
-    gain: float
-    dark: Path | None
-    measured: Measured | None
-    of_pattern: bool
-    """Whether the dark frame is of the projector's dark picture."""
-
-    @property
-    def radiometry(self) -> "Radiometry | None":
-        """Of its camera, where that is known."""
-        return None if self.measured is None else self.measured.radiometry
-
-    def notes(self, scene: "Scene", scene_file: Path) -> list[str]:
-        """What does not stop a fit and may spoil it, in a sentence each."""
-        notes = self._about_camera(scene.camera, scene_file)
-        if scene.projector.black_level > 0.0 and self.dark is not None:
-            notes.append(
-                f"{scene_file} says what light dark parts of the projector's picture have, and the fit counts it; if "
-                f"{self.dark} was taken with the projector's dark picture, give it as --dark-pattern"
-            )
-        return notes
-
-    def _about_camera(self, camera: "Camera", scene_file: Path) -> list[str]:
-        if camera.kind != "calibrated":
-            return []
-        if self.measured is None:
-            return [
-                "the camera's radiometry is not applied, so its fall-off towards the corners passes for the liquid's; "
-                "give --rig"
-            ]
-        there = self.measured.camera
-        if there.kind != "calibrated" or there.position_mm is None or camera.position_mm is None:
-            return []
-        apart = math.dist(there.position_mm, camera.position_mm)
-        turned = max(abs(a - b) for a, b in zip(there.rotation or (), camera.rotation or (), strict=True))
-        if apart <= _SAME_MM and turned <= _SAME_RAD:
-            return []
-        return [
-            f"the camera of {scene_file} stands {apart:.2g} mm from where {self.measured.rig} has it and is turned by "
-            f"{1e3 * turned:.2g} mrad; unless the frame is older than the calibrations in force, export the scene "
-            "anew (tankrig scene)"
-        ]
-
-
-def _picture(
-    image_file: Path, scene_file: Path, array: str | None, scale: float, raw: RawPicture | None, edges: float | None,
-    mask_file: Path | None,
-) -> "Picture":  # fmt: skip
-    """The image as it is fitted."""
-    from tankrig.devices import CameraSettings
-    from tankrig.image.reading import read_frame, read_image, read_mask
-    from tankrig.live.one_picture import picture_of, radiance_of, require_no_board
-    from tankrig.scene.loading import whole_scene
-
-    scene, hot, full = whole_scene(scene_file), None, None
-    if raw is None:
-        image = read_image(image_file, array, scale)
-    else:
-        settings = CameraSettings(raw.exposure_ms, raw.gain)
-        dark = None if raw.dark is None else read_frame(raw.dark)
-        frame = read_frame(image_file, array)
-        require_no_board(frame, scene.camera)
-        image, hot, full = radiance_of(frame, settings, raw.radiometry, dark)
-        image = scale * image
-        if raw.of_pattern:
-            scene = replace(scene, projector=replace(scene.projector, black_level=0.0))
-    mask = None if mask_file is None else read_mask(mask_file)
-    return picture_of(image, scene, hot, full, edges, mask)
 
 
 def _left_out(picture: "Picture", fitted: "Estimate") -> dict[str, Any]:

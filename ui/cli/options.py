@@ -32,6 +32,24 @@ class FiniteRange(click.FloatRange):
         return super().convert(FINITE.convert(value, param, ctx), param, ctx)
 
 
+class FreeOrNumber(click.ParamType[Any]):
+    """The word "free", or a finite number."""
+
+    name = "free|NUMBER"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Text to "free" or float."""
+        if value == "free" or isinstance(value, float):
+            return value
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            self.fail(f'{value!r} is neither "free" nor a finite number', param, ctx)
+        return number
+
+
 def _rig_option(otherwise: str) -> Callable[[Command], Command]:
     return click.option(
         "--rig",
