@@ -129,49 +129,13 @@ def models_of(
 def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, checked: bool) -> Models:
     from tankrig.light.rays import shift_invariant
 
-    if replace(model.scene, medium=scene.medium) != scene:
-        raise SceneError(
-            f"the model {model.path} was prepared for another tank, projector or camera than "
-            f"{scene.source or 'the scene'} has; prepare this one"
-        )
-    if max_order is not None:
-        raise SceneError(f'max_order = {max_order} needs model = "tank": a prepared model holds all orders in one')
+    _require_prepared_for(scene, model, max_order)
     box = model.box
-
-    def told(image: Image, near: Medium) -> Prediction:
-        error = Skipped("noise and polynomials of the prepared model", model.error_at(near))
-        return Prediction(image, "prepared", skipped=(error,))
-
-    @remembered
-    def answered(medium: Medium) -> tuple[Prediction, Image]:
-        near = box.nearest(medium)
-        image, slopes = model.predict(near, derivatives=True)
-        return told(image, near), slopes
-
-    @remembered
-    def predicted(medium: Medium) -> Prediction:
-        if model.phases == "hg":
-            return answered(medium)[0]
-        near = box.nearest(medium)
-        return told(model.predict(near), near)
+    answered, predicted = _answers(model)
 
     def refine(medium: Medium) -> tuple[Model, Model]:
-        if model.phases != "hg":
-            return predicted, predicted
-        near = box.nearest(medium)
-        patterns, tables = model.errors_at(near)
-        size = float(np.linalg.norm(model.predict(near)))
-        rest = (Skipped("tables that order 2 is looked up in", tables),)
-
-        @remembered
-        def known(medium: Medium) -> Prediction:
-            # Errors go with the image: from one medium to the next they change as slowly as that.
-            image = predicted(medium).image
-            noise = patterns * (float(np.linalg.norm(image)) / size if size > 0.0 else 1.0)
-            stderr = np.sqrt(np.sum(np.square(noise), axis=0))
-            return Prediction(image, "prepared", stderr=stderr, skipped=rest, patterns=noise)
-
-        return known, known
+        with_noise = predicted if model.phases != "hg" else _with_noise(model, predicted, medium)
+        return with_noise, with_noise
 
     @remembered
     def slopes_noise(medium: Medium) -> Image:
@@ -180,24 +144,80 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, che
     def along(medium: Medium, others: Sequence[PhaseFunction]) -> Image:
         return model.slopes(box.nearest(medium), others)[1]
 
-    def compared(medium: Medium, times: float) -> Prediction:
-        from tankrig.light.paths.block import LARGE
-        from tankrig.light.tangent import tank_accurate
-
-        found = tank_accurate(
-            replace(scene, medium=box.nearest(medium)), math.ceil(times * CHECK_BATCHES * LARGE.points), 3
-        )
-        return replace(found, model="prepared")
-
     albedo, g = ((edges[0], min(edges[1], 1.0 - 1e-6)) for edges in (box.albedo, box.g))
     scattering = (box.sigma_t[0] * albedo[0], box.sigma_t[1])
     return Models(
         predicted, refine, lambda medium: answered(medium)[1],
         Range.of_media(scattering, albedo, g, sigma_t=box.sigma_t),
-        exact=compared if checked and is_ideal(scene) and not shift_invariant(scene) else None,
+        exact=_compared(scene, model) if checked and is_ideal(scene) and not shift_invariant(scene) else None,
         along=along if model.phases == "any" else None,
         slopes_noise=slopes_noise if model.phases == "hg" else None,
     )  # fmt: skip
+
+
+def _require_prepared_for(scene: Scene, model: "Prepared", max_order: int | None) -> None:
+    """Refuse a model of another scene, and orders that it does not tell apart."""
+    if replace(model.scene, medium=scene.medium) != scene:
+        raise SceneError(
+            f"the model {model.path} was prepared for another tank, projector or camera than "
+            f"{scene.source or 'the scene'} has; prepare this one"
+        )
+    if max_order is not None:
+        raise SceneError(f'max_order = {max_order} needs model = "tank": a prepared model holds all orders in one')
+
+
+def _answers(model: "Prepared") -> tuple[Callable[[Medium], tuple[Prediction, Image]], Model]:
+    """Its images with derivatives, and without; of the nearest medium in its box."""
+
+    def told(image: Image, near: Medium) -> Prediction:
+        error = Skipped("noise and polynomials of the prepared model", model.error_at(near))
+        return Prediction(image, "prepared", skipped=(error,))
+
+    @remembered
+    def answered(medium: Medium) -> tuple[Prediction, Image]:
+        near = model.box.nearest(medium)
+        image, slopes = model.predict(near, derivatives=True)
+        return told(image, near), slopes
+
+    @remembered
+    def predicted(medium: Medium) -> Prediction:
+        if model.phases == "hg":
+            return answered(medium)[0]
+        near = model.box.nearest(medium)
+        return told(model.predict(near), near)
+
+    return answered, predicted
+
+
+def _with_noise(model: "Prepared", predicted: Model, medium: Medium) -> Model:
+    """Its images, with the patterns of their noise as they are at a medium."""
+    near = model.box.nearest(medium)
+    patterns, tables = model.errors_at(near)
+    size = float(np.linalg.norm(model.predict(near)))
+    rest = (Skipped("tables that order 2 is looked up in", tables),)
+
+    @remembered
+    def known(medium: Medium) -> Prediction:
+        # Errors go with the image: from one medium to the next they change as slowly as that.
+        image = predicted(medium).image
+        noise = patterns * (float(np.linalg.norm(image)) / size if size > 0.0 else 1.0)
+        stderr = np.sqrt(np.sum(np.square(noise), axis=0))
+        return Prediction(image, "prepared", stderr=stderr, skipped=rest, patterns=noise)
+
+    return known
+
+
+def _compared(scene: Scene, model: "Prepared") -> Exact:
+    """Images by light paths that a prepared model is compared with."""
+
+    def compared(medium: Medium, times: float) -> Prediction:
+        from tankrig.light.paths.block import LARGE
+        from tankrig.light.tangent import tank_accurate
+
+        near = replace(scene, medium=model.box.nearest(medium))
+        return replace(tank_accurate(near, math.ceil(times * CHECK_BATCHES * LARGE.points), 3), model="prepared")
+
+    return compared
 
 
 Lattices = Callable[[Medium, float, int], int]

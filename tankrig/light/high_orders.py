@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from tankrig.light.paths.block import LARGE, SMALL, TURNS, PathLimits
+from tankrig.light.paths.block import LARGE, SMALL, TURNS, Lattice, PathLimits
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import THINNING, Groups, traced
 from tankrig.light.paths.record import CLASSES, GROUPS, Bins
@@ -176,24 +176,15 @@ def high_orders(
     turns = TURNS if batches is not None else _turns(scene)
     bins, first = (CLASSES, 0) if tail is None else (_bins_above(above), 2)
     reflecting = not scene.tank.faces.dark
-
-    def image_of(number: int) -> Array:
-        images = traced(scene, grid, (seed, number), bins, PathLimits(highest, FAINTEST, thinning, turns), lattice)
-        if reflecting:
-            images = _with_walls(images, scene, grid, (seed, number), highest)
-        return grid.folded(images)
-
-    def low_image_of(number: int) -> Array:
-        limits = PathLimits(above, FAINTEST, thinning)
-        return grid.folded(traced(scene, grid, (seed, LOW_ONLY + number), bins, limits, lattice))[:2]
-
-    groups, low_groups, every = Groups(image_of), Groups(low_image_of), 1
+    lattices_of = _Lattices(scene, grid, seed, bins, lattice, PathLimits(highest, FAINTEST, thinning, turns), above)
+    groups, low_groups, every = Groups(lattices_of.image), Groups(lattices_of.low_image), 1
     plain = tail is None and grid.shiftable and not reflecting
     apart = tail is not None and not grid.shiftable
     prior = _prior(tail, grid, reflecting)
     wanted = batches or (FIRST_LATTICES if plain else FIRST_SMOOTHED)
     scale = math.sqrt(grid.seen_mm2) / scene.camera.pixel_mm
     done, steady = 0.0, batches is not None
+    parts = _Parts(grid, first, plain, apart, steady)
     noise_share, bias_share = FINE_SHARES if tolerance < FINE else (NOISE_SHARE, BIAS_SHARE)
     while True:
         through = max(groups.lattices, math.ceil(wanted / every))
@@ -211,16 +202,8 @@ def high_orders(
         means, low_means = groups.means, low_groups.means
         peak = float(np.abs(means).max(initial=0.0)) or 1.0  # squares of faint light would be 0, with its noise
         means -= prior
-        if apart:
-            low, lower = _low_orders(low_means / peak, grid, steady)
-            found = _found(means[:, first:] / peak, 0, 1.0, False, grid, steady)
-        else:
-            own = groups.counted / (groups.counted + low_groups.counted)
-            low = own * means[:, :first].mean(axis=0) / peak
-            found, lower = _found(means / peak, first, own, plain, grid, steady), None
-            if low_groups.counted:
-                low += (1.0 - own) * low_means.mean(axis=0) / peak
-                lower = averaged((1.0 - own) * low_means.sum(axis=1) / peak, grid.seen)
+        own = groups.counted / (groups.counted + low_groups.counted)
+        found, low, lower = parts.together(means, low_means, own, peak)
         whole = found.image if lower is None else found.image + lower.image
         image = known + grid.to_pixels(grid.unfolded(peak * whole + prior.sum(axis=0)))
         size = float(np.linalg.norm(image / peak)) or 1.0
@@ -254,6 +237,75 @@ def high_orders(
     allowance.progress(1.0)
     paths = (groups.lattices + low_groups.lattices) * lattice.points
     return HighOrders(images[: len(GROUPS)], stderr, paths, by_walls, tail)
+
+
+@dataclass(frozen=True)
+class _Lattices:
+    """Lattices of paths, each by its number: through all orders, or through those only that a tail has nothing of."""
+
+    scene: Scene
+    grid: CellGrid
+    seed: int
+    bins: Bins
+    lattice: Lattice
+    limits: PathLimits
+    above: int
+
+    def image(self, number: int) -> Array:
+        """By class, with what walls send back."""
+        own = self.seed, number
+        images = traced(self.scene, self.grid, own, self.bins, self.limits, self.lattice)
+        if not self.scene.tank.faces.dark:
+            images = _with_walls(images, self.scene, self.grid, own, self.limits.max_order)
+        return self.grid.folded(images)
+
+    def low_image(self, number: int) -> Array:
+        """The two low classes."""
+        own, limits = (self.seed, LOW_ONLY + number), PathLimits(self.above, FAINTEST, self.limits.first_thinning)
+        return self.grid.folded(traced(self.scene, self.grid, own, self.bins, limits, self.lattice))[:2]
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """How images by class of many lattices are put together to one.
+
+    Parameters
+    ----------
+    grid
+        That they are on.
+    first
+        Classes before it are not smoothed.
+    plain
+        Whether none is.
+    apart
+        Whether the low ones are smoothed by themselves, on lattices of their own.
+    steady
+        See `smoothed`.
+    """
+
+    grid: CellGrid
+    first: int
+    plain: bool
+    apart: bool
+    steady: bool
+
+    def together(
+        self, means: Array, low_means: Array, own: float, peak: float
+    ) -> tuple[Smoothed, Array, Smoothed | None]:
+        """Their sum over `peak`, low classes by themselves, and the sum's part from lattices of low orders, if any.
+
+        `own` is the share of the lattices that are followed through all orders.
+        """
+        first = self.first
+        if self.apart:
+            low, lower = _low_orders(low_means / peak, self.grid, self.steady)
+            return _found(means[:, first:] / peak, 0, 1.0, False, self.grid, self.steady), low, lower
+        low = own * means[:, :first].mean(axis=0) / peak
+        found = _found(means / peak, first, own, self.plain, self.grid, self.steady)
+        if own == 1.0:
+            return found, low, None
+        low += (1.0 - own) * low_means.mean(axis=0) / peak
+        return found, low, averaged((1.0 - own) * low_means.sum(axis=1) / peak, self.grid.seen)
 
 
 def _with_walls(images: Array, scene: Scene, grid: CellGrid, seed: tuple[int, int], highest: int) -> Array:
