@@ -14,7 +14,7 @@ from tankrig.estimation.about_exact import (
     problem_about,
 )
 from tankrig.estimation.borne_out import HALVINGS, SETTLED, SHARPER, borne_out, held_back, settled
-from tankrig.estimation.by_shares import MOST_CORRECTIONS, MOST_ROUGH, ByShares
+from tankrig.estimation.by_shares import MOST_CORRECTIONS, ByShares
 from tankrig.estimation.followed import Model
 from tankrig.estimation.light_beside import is_solved
 from tankrig.estimation.optimiser import LAST_STEPS, solve, without_noise
@@ -22,9 +22,6 @@ from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.search import Told, by_cost
 from tankrig.estimation.shots import Fit, Shot
 from tankrig.prediction import Prediction
-
-__all__ = ["MOST_CORRECTIONS", "MOST_ROUGH", "SOLVED_ENOUGH", "ByShares", "corrected_fit", "exact_images"]
-# For `modes`, which asks here for what has a file of its own: `by_shares`, `about_exact`.
 
 BENT_ENOUGH, SOLVED_ENOUGH = 0.05, 1.0
 """Where searches about exact images stop as the models bend: with three numbers, of more see `MANY_ENOUGH`; and where

@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.corrections import MOST_CORRECTIONS, MOST_ROUGH, ByShares, exact_images
+from tankrig.estimation.about_exact import exact_images
+from tankrig.estimation.by_shares import MOST_CORRECTIONS, MOST_ROUGH, ByShares
 from tankrig.estimation.followed import Model
 from tankrig.estimation.optimiser import solve
 from tankrig.estimation.phase_families import Family
