@@ -186,7 +186,7 @@ def test_many_mutated_files_are_read_or_refused_in_a_sentence(
 
 
 def test_a_file_of_another_kind_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Of a scene that was given as a sequence the first key was "unknown; remove it"."""
+    """A scene that was given as a sequence was told that its first key is "unknown; remove it"."""
     scene, sequence = tmp_path / "scene.toml", tmp_path / "first.toml"
     scene.write_text("[tank]\n[medium]\nsigma_a = 0.0\nsigma_s = 0.01\ng = 0.0\n")
     sequence.write_text('name = "a note"\n[[steps]]\ndo = "note"\ntext = "x"\n')

@@ -149,10 +149,11 @@ def _place(found: Sequence[Weighed], shares: Array, family: Family) -> tuple[Arr
 
 def _left_by(images: Sequence[Image], best: Evaluation) -> Array:
     """(n,) what an image of each view leaves, whitened."""
-    return best.problem.by([partial(_whatever, image) for image in images]).at(best.coordinates).left
+    return best.problem.by([partial(_always, image) for image in images]).at(best.coordinates).left
 
 
-def _whatever(image: Image, _: Medium) -> Image:
+def _always(image: Image, _: Medium) -> Image:
+    """An image as a model that answers so for every medium."""
     return image
 
 

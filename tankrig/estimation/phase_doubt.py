@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,7 +156,7 @@ class Doubt:
             return likely, PhaseTold(explained=self._explained_by(likely))
         if self.left.unexplained <= BEYOND * self.left.stated:
             # So little is the model's own error as likely as anything, and every smooth pattern would explain some.
-            free = self._by_derivatives()
+            free = self._by_derivatives
             if free.evidence < BEYOND_DOUBT:
                 return cause_of(self.best, self.scene, misaligned), PhaseTold(freed=free)
         likely, instead = self._asked_of_structure(misaligned)
@@ -177,7 +177,7 @@ class Doubt:
         tank = self._may_be_asked and self.left.prediction.model == "tank"
         if not tank or not (shift_invariant(self.scene) or hinted):
             return PhaseTold()
-        free = self._by_derivatives()
+        free = self._by_derivatives
         if not self._beyond_doubt(free, sign):
             return PhaseTold(freed=free)
         if self.asked.further is None:
@@ -190,6 +190,7 @@ class Doubt:
         """Whether Henyey–Greenstein's was fitted, and by a model that the cheap one can stand in for."""
         return self.asked.family is None and self.left.prediction.model in LIKE_TANK
 
+    @cached_property
     def _by_derivatives(self) -> Freed:
         """What a free phase function would say, without a search."""
         errors = stated_errors(self.best, [self.left])
@@ -202,7 +203,7 @@ class Doubt:
     def _asked_of_structure(self, misaligned: Callable[[], Array]) -> tuple[list[Cause], Instead]:
         """Likely causes, and another phase function as it was fitted."""
         best, scene, models, roughly = self.best, self.scene, self.models, self.asked.further is not None
-        told = self._cause_of(self._by_derivatives())
+        told = self._cause_of(self._by_derivatives)
         likely = cause_of(best, scene, misaligned, told)
         if _is_phase(likely):
             return likely, _at_least(fitted_instead(best, scene, models, roughly), told.share)

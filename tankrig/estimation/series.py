@@ -67,7 +67,7 @@ DOUBTED = 0.02
 """Structure beyond what the models state, as a share of an image, from which on a Henyey–Greenstein fit determines
 neither σs nor g of ink: an emulsion leaves 6 %, beads 14 %, and σs is off by a third or more."""
 
-MOST = 0.5
+MOSTLY_SPHERES = 0.5
 """Share of the answer from which on spheres are fitted by themselves."""
 
 Array = NDArray[np.float64]
@@ -263,7 +263,7 @@ def _liquid_at(
 def _unsure(fit: Fit, left: Sequence[Left], asked: Asked, answer: Scattering) -> bool:
     """Whether a free phase function does not describe all images, has not settled, or where several images tell so much
     that a family next to its fit is not known to first order, spheres are most of the answer."""
-    mostly = answer.families.get(spheres().name, 0.0) > MOST
+    mostly = answer.families.get(spheres().name, 0.0) > MOSTLY_SPHERES
     return mostly or fit.moved is not None or is_rough(fit.optimum, asked) or any(one.beyond > 0.0 for one in left)
 
 

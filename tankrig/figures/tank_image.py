@@ -113,7 +113,7 @@ def add_bar(axes: Sequence["Axes"], shown: "AxesImage", residual: bool = False) 
         sizes = [
             size for size in (0.01, 0.1, 1.0, 10.0, 100.0) if getattr(shown.norm, "linthresh", 0.0) <= size <= high
         ]
-        sizes = sizes or [float(f"{0.8 * high:.1g}")]  # a faint residual lies between two of them
+        sizes = sizes or [float(f"{0.5 * high:.1g}")]  # a faint residual lies between two of them
         ticks = [-size for size in reversed(sizes)] + [0.0, *sizes]
     else:
         ticks = [tick for tick in (0.0, 1.0, 5.0, 10.0, 25.0, 50.0, 75.0, 100.0) if low <= tick <= high]

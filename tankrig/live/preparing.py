@@ -74,10 +74,11 @@ def foreseen(
 
 
 def phases_prepared(plan: PhotographPlan) -> Phases | None:
-    """Which phase functions a run's models are prepared for; None where it is fitted by light paths.
+    """Which phase functions a run's models are prepared for; None where fits prepare their own.
 
-    Those of any phase function want light and sight that run straight. A free phase function is fitted by light paths
-    all the same: their stated error leaves it ten times wider than it need be (beads: σs ± 18 % instead of .7).
+    Those of any phase function want light and sight that run straight. A fit of a free one prepares what it needs at
+    each dose's liquid itself: these models' stated error, for a whole box, would leave it ten times wider than it need
+    be (beads: σs ± 18 % instead of .7).
     """
     if plan.phase in ("hg", "free", "any"):
         return "hg" if plan.phase == "hg" else None

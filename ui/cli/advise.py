@@ -274,8 +274,8 @@ def _tell(before: "Expected | None", found: "list[Advice]") -> None:
     tell_table(headings, rows, styles=["dim" if row[0] == "as it is now" else None for row in rows])
     click.echo(
         "± standard deviations expected: σs and σa relative, per ml of ink; g absolute. Bits below zero: a photograph "
-        "in which the model's error outweighs what it tells. What a bench has that no model describes widens a fit's "
-        "errors by more"
+        "in which the model's error outweighs what it tells. Fits of a real bench state larger ones: they count "
+        "what no model describes"
     )
 
 
