@@ -146,7 +146,10 @@ def _of_rig(rig: Path | None, pattern_name: str, sequence_file: Path | None) -> 
     description = load_rig_file(rig) if rig else load_rig_file(SIMULATED, beside=Path().absolute())
     bench = calibrated_bench(description)
     patterns = load_sequence(sequence_file).patterns if sequence_file else {}
-    drawn = Sequence("scene", (Capture(pattern_name),), patterns).drawn(bench.wall)
+    shown = Sequence("scene", (Capture(pattern_name),), patterns, source=str(sequence_file or ""))
+    drawn = shown.drawn(bench.wall)
+    for note in shown.cut_off(bench.wall, bench.tank):
+        click.echo(f"note: {note}", err=True)
     found = in_force(Path(description.calibration_folder), description.calibration)
     return bench, drawn[pattern_name], found, f"rig {description.name}"
 
