@@ -146,6 +146,7 @@ def test_light_that_misses_the_tank_is_told_before_anything_moves(folder, capsys
     [
         (["run"], "give a sequence file, or --resume"),
         (["run", "short.toml", "--resume", "x"], "give a sequence file, or --resume"),
+        (["run", "short.toml", "--resume"], "Option '--resume' requires an argument; see tankrig run --help"),
         (["run", "none.toml"], "none.toml: cannot be read"),
         (["run", "over.toml"], "over.toml: dose to 1200 µl: one dose may have 1000 µl at most"),
         (["run", "odd.toml"], 'steps[0].do = "dance" is unknown'),
