@@ -11,6 +11,7 @@ from drivers.check import Check, failed
 from drivers.rig import RigFile, is_as_described, require_of_bench
 from tankrig.calibration.file import Calibration, all_in, left_aside, passed_over, usable
 from tankrig.calibration.geometry_in_force import DEVICES
+from tankrig.calibration.how_well import how_well
 from tankrig.calibration.witness import bright_exposure_ms, mean_of
 from tankrig.devices import CameraDevice, Projector
 from tankrig.errors import StoreError, TankrigError
@@ -159,7 +160,6 @@ def _fits(one: Calibration, device: Any, found: Mapping[str, Calibration], folde
             )  # fmt: skip
     if one.age_days > STALE_DAYS:
         return Check(what, False, f"{named} is {one.age_days:.0f} days old", f"tankrig calibrate {one.kind} --rig FILE")
-    well = ", ".join(f"{name} {value:.3g}" for name, value in one.how_well.items())
     newer = next((later for later in all_in(folder, one.kind) if isinstance(later, Calibration)), one)
     if newer.hash != one.hash:
         return Check(
@@ -167,7 +167,7 @@ def _fits(one: Calibration, device: Any, found: Mapping[str, Calibration], folde
             f'calibration.{one.kind} = "{newer.hash[:12]}" in the rig file, to use that',
         )  # fmt: skip
     doubts = f"; accepted in spite of doubts: {one.doubts[0]}" if one.doubts else ""
-    return Check(what, True, f"{named}: {well}{doubts}")
+    return Check(what, True, f"{named}: {how_well(one.kind, one.how_well)}{doubts}")
 
 
 def level_check(projector: Projector, camera: CameraDevice, wall: Wall, rule: ExposureRule = _ANY) -> Check:

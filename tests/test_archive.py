@@ -94,10 +94,10 @@ def test_what_was_not_determined_is_marked(archive: Path, tmp_path: Path, capsys
         writer.put("fit", **to_fields(fit))
     assert main(["archive", str(archive)]) == 0
     told = capsys.readouterr().out
-    assert "0.1000±0.0010?" in told
+    assert "0.0001000±0.0000010?" in told
     assert told.count("?") == 2  # and what it means
     assert main(["archive", str(archive), "--by", "material"]) == 0
-    assert "0.1000±0.0010?" in capsys.readouterr().out
+    assert "0.0001000±0.0000010?" in capsys.readouterr().out
     assert main(["archive", str(archive), "--out", str(tmp_path / "page.html")]) == 0
     assert "?</td>" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
@@ -125,7 +125,7 @@ def test_a_column_that_says_nothing_takes_no_room(
     assert main(["archive", str(archive), "--rig", "*A"]) == 0
     heading, *lines, meaning, count = capsys.readouterr().out.splitlines()
     assert "standard deviation" in meaning
-    assert heading.split() == ["run", "day", "rig", "material", "ml", "σs,", "1/m", "g", "σa,", "1/m"]
+    assert heading.split() == ["run", "day", "rig", "material", "ml", "σs,", "1/mm", "g", "σa,", "1/mm"]
     assert all("ink 0" in line and "±" in line for line in lines)
     assert count == f"{len(lines)} runs, {len(lines)} fits"
 

@@ -52,7 +52,7 @@ def test_what_is_good_passes_and_what_is_not_says_why(rig: RigFile) -> None:
     good = save(CAMERA, folder)
     name = "camera is calibrated"
     assert looked(rig)[name].passed
-    assert "rms_px 0.2" in looked(rig)[name].finding
+    assert "corners off by 0.2 px (rms)" in looked(rig)[name].finding
     assert "has camera B" in looked(rig, camera=Device("camera B", (80, 120)))[name].finding
     assert "has [40, 60]" in looked(rig, camera=Device("camera A", (40, 60)))[name].finding
     old = (datetime.now(UTC) - timedelta(days=STALE_DAYS + 2)).isoformat(timespec="seconds")

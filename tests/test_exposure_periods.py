@@ -55,7 +55,7 @@ def test_the_dry_run_refuses_and_names_the_nearest(tmp_path, capsys):
     sequence = sequence_file(tmp_path, 20.0)
     assert main(["run", str(sequence), "--rig", str(rig), "--dry-run"]) == 2
     said = capsys.readouterr().err
-    assert "one: capture full: exposure_ms = 20 is 1.20 periods of the projector's light (16.667 ms)" in said
+    assert "sequence.toml: capture full: exposure_ms = 20 is 1.20 periods of the projector's light (16.667 ms)" in said
     assert "give 16.667 or 33.333, or say why it does not matter (any_exposure in the sequence" in said
     assert main(["run", str(sequence_file(tmp_path, 33.333)), "--rig", str(rig), "--dry-run"]) == 0
 

@@ -81,6 +81,26 @@ def test_the_picture_of_a_fit_is_drawn_for_every_model(tmp_path: Path, orders: b
     assert {path.name for path in file.parent.iterdir()} == {"fit.svg", "fit.png"}
 
 
+@pytest.mark.parametrize(
+    ("model", "max_order", "whole"),
+    [("single", None, "Order 1 alone"), ("diffuse", None, "The diffuse limit"), ("tank", 3, "Orders 1–3")],
+)
+def test_an_image_is_called_by_the_light_that_its_model_has(
+    tmp_path: Path, model: str, max_order: int | None, whole: str
+) -> None:
+    """Single scattering's own image was called "All orders", in a picture that was three quarters empty."""
+    fit, prediction = reference("pub08")
+    one, scene = replace(fit, model=model), load_scene(REFERENCE / "pub08.toml")
+    drawing = tmp_path / "fit.svg"
+    rebuilt = by_order(one, replace(prediction, orders={}))
+    write_fit_figure(drawing, scene, one, rebuilt, None if model == "single" else fit, max_order)
+    words = words_in(drawing)
+    lower = whole[0].lower() + whole[1:]
+    assert {f"{whole}: RMSE 0.2 %", f"Observed − {lower}", f"fit: {lower}"} <= set(words)
+    assert not any("all orders" in word.lower() or word == "full fit" for word in words)
+    assert ("single-scattering fit" in words) == (model != "single")
+
+
 def test_a_picture_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     """Half a picture would be taken for a whole one."""
     fit, prediction = reference("pub08")

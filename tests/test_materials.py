@@ -118,8 +118,12 @@ def test_planned_doses_keep_to_the_limits_and_reach_what_was_asked(
     ("arguments", "said"),
     [
         (["plan", "intralipid20", "--wavelength", "633", "--sigma-s", "0.02"], '"intralipid-20"'),
-        (["plan", LIPID, "--sigma-s", "0.02"], "--wavelength"),
-        (["plan", LIPID, "--wavelength", "1064", "--sigma-s", "0.02"], "400 … 900 nm"),
+        (["plan", LIPID, "--sigma-s", "0.02"], "--wavelength from 400 to 900 nm"),
+        (["plan", LIPID, "--wavelength", "1064", "--sigma-s", "0.02"], "from 400 to 900 nm, not at 1064 nm"),
+        (["show", "milk-whole"], "give --wavelength from 460 to 620 nm"),
+        (["show", "milk-whole", "--wavelength", "633"], "milk-whole: is published from 460 to 620 nm"),
+        (["show", "water", "--wavelength", "360"], "water: is published from 400 to 700 nm"),
+        (["show", BEADS, "--wavelength", "380"], "from 400 to 700 nm"),
         (["plan", LIPID, "--wavelength", "633", "--sigma-s", "-1"], "not positive"),
         (["plan", "polystyrene-0.2", "--wavelength", "633", "--sigma-s", "0.02"], "the rig allows"),
         (["plan", "india-ink", "--wavelength", "633", "--sigma-s", "0.02"], "measure a dilution"),
@@ -138,6 +142,17 @@ def test_what_cannot_be_planned_is_refused_in_one_sentence(
     told = capsys.readouterr().err
     assert said in told
     assert len(told.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", [LIPID, BEADS, "water", "milk-regular", "milk-whole"])
+def test_a_listed_range_is_known_to_its_ends(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Water was listed from 350 nm and refused below 400, and the hint of a wavelength was one that milk has not."""
+    low, high = material(name).range_nm or (0.0, 0.0)
+    for wavelength_nm in (low, high):
+        assert main(["materials", "show", name, "--wavelength", f"{wavelength_nm:g}"]) == 0
+        assert f"at {wavelength_nm:g} nm" in capsys.readouterr().out
+    assert main(["materials", "show", name, "--wavelength", f"{high + 1:g}"]) == 2
+    assert f"from {low:g} to {high:g} nm" in capsys.readouterr().err
 
 
 def test_a_plan_is_told(capsys: pytest.CaptureFixture[str]) -> None:

@@ -98,6 +98,8 @@ def test_what_a_wrong_model_leaves_is_no_bubble(noise_known: bool) -> None:
     found = tankrig.estimate(image + glow, STRIPE, noise=noise if noise_known else None, model="single")
     assert not np.isnan(found.residual).any()
     assert "holds structure" in found.verdict
+    assert 'The "single" model leaves out' in found.verdict
+    assert "--phase free" not in found.verdict, "no phase function makes up for light that the model has not"
     assert not any(found.identifiable.values())
 
 

@@ -169,6 +169,21 @@ def test_the_table_of_fits_says_of_single_scattering_what_the_report_does(
         assert "had single scattering alone explained the photographs" in told
 
 
+def test_a_table_of_fits_has_the_unit_of_all_else_and_the_truth_beneath(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Coefficients stood there in 1/m, between sentences and beside a report that have them in 1/mm."""
+    monkeypatch.setenv("COLUMNS", "80")
+    found = fits_of(run, load_rig_file(SIMULATED))
+    tell_fits(found)
+    heading, *lines = capsys.readouterr().out.splitlines()[1:]
+    assert heading.split() == ["ink", "σs,", "1/mm", "g", "σa,", "1/mm", "scatt.", "σt"]
+    for row in found["doses"]:
+        at = next(number for number, line in enumerate(lines) if line.startswith(f"{row['dose_ml']:.3g} ml"))
+        assert float(lines[at].split()[2].partition("±")[0]) == pytest.approx(row["fitted"]["sigma_s"], rel=1e-3)
+        assert lines[at + 1].split()[:2] == ["truth", f"{row['truth']['sigma_s']:.4g}"]
+
+
 def test_the_command_says_where_the_report_is(
     run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -30,6 +30,17 @@ do = "series"
 total_ul = [20, 40]
 steps = [ { do = "capture", pattern = "dark" }, { do = "capture", pattern = "full", frames = 2 } ]
 """
+WIDE = """
+name = "wide"
+[patterns.sheet]
+kind = "sheet"
+y_mm = {y_mm}
+z_mm = {z_mm}
+[[steps]]
+do = "repeat"
+times = 2
+steps = [ {{ do = "capture", pattern = "sheet" }} ]
+"""
 LONG_DOSE = 'name = "long"\n[[steps]]\ndo = "dose"\ntotal_ul = 900\n'
 
 
@@ -116,14 +127,31 @@ def test_a_dry_run_tells_time_ink_and_disk_and_leaves_nothing(folder, capsys):
     assert names_in(folder) == ["long.toml", "short.toml"]
 
 
+def test_light_that_misses_the_tank_is_told_before_anything_moves(folder, capsys):
+    """A sheet wider than the tank was cut at its wall without a word, so that nobody knew what had been lit."""
+    (folder / "wide.toml").write_text(WIDE.format(y_mm=[-95.0, 60.0], z_mm=[58.0, 62.0]))
+    note = 'pattern "sheet": y = -95 … 60 mm reaches beyond the tank\'s wall, -80 … 80 mm; what is beyond is cut off'
+    assert main(["run", "wide.toml", "--dry-run", "--json"]) == 0
+    told = capsys.readouterr()
+    assert json.loads(told.out)["notes"] == [note]
+    assert f"note: {note}\n" in told.err
+    assert main(["scene", "--pattern", "sheet", "--sequence", "wide.toml", "--out", "scene.toml"]) == 0
+    assert f"note: {note}\n" in capsys.readouterr().err
+    assert main(["run", "short.toml", "--dry-run"]) == 0
+    assert "note" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
         (["run"], "give a sequence file, or --resume"),
         (["run", "short.toml", "--resume", "x"], "give a sequence file, or --resume"),
+        (["run", "short.toml", "--resume"], "Option '--resume' requires an argument; see tankrig run --help"),
         (["run", "none.toml"], "none.toml: cannot be read"),
-        (["run", "over.toml"], "over: dose to 1200 µl: one dose may have 1000 µl at most"),
+        (["run", "over.toml"], "over.toml: dose to 1200 µl: one dose may have 1000 µl at most"),
         (["run", "odd.toml"], 'steps[0].do = "dance" is unknown'),
+        (["run", "high.toml"], "high.toml: patterns.sheet (time 1 of 2, capture sheet): z_mm = [130, 140] lights no"),
+        (["run", "fine.toml"], "fine.toml: separate 2 of 5, capture wave-0.1mm-z58-62-0of4: period_mm = 0.1 is finer"),
         (["run", "short.toml", "--rig", "none.toml"], "none.toml: cannot be read"),
         (["run", "short.toml", "--out", "short.toml/run"], "short.toml is not a folder"),
         (["run", "--resume", "empty"], "empty: is not a run"),
@@ -135,6 +163,10 @@ def test_a_dry_run_tells_time_ink_and_disk_and_leaves_nothing(folder, capsys):
 def test_bad_input_is_one_sentence_exit_2_and_nothing_is_made(folder, capsys, words, reason):
     (folder / "over.toml").write_text('name = "over"\n[[steps]]\ndo = "dose"\ntotal_ul = 1200\n')
     (folder / "odd.toml").write_text('name = "odd"\n[[steps]]\ndo = "dance"\n')
+    (folder / "high.toml").write_text(WIDE.format(y_mm=[-60.0, 60.0], z_mm=[130.0, 140.0]))
+    (folder / "fine.toml").write_text(
+        'name = "a fine name"\n[[steps]]\ndo = "separate"\nz_mm = [58.0, 62.0]\nperiods_mm = [0.1]\n'
+    )
     (folder / "empty").mkdir()
     (folder / "newer").mkdir()
     newer = {"attributes": {"tankrig": {"format": 9, "version": "9.0", "settings": {}}}}

@@ -155,7 +155,7 @@ def test_without_a_rig_the_scene_is_of_the_rig_that_a_run_without_one_has(
 
 def test_a_pattern_that_is_not_there_is_named(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scene", "--rig", str(rig), "--pattern", "rays", "--sequence", "one.toml"]) == 2
-    assert 'pattern "rays" is unknown; did you mean "ray"?' in capsys.readouterr().err
+    assert 'one.toml: pattern "rays" is unknown; did you mean "ray"?' in capsys.readouterr().err
     for words in (["--bin", "0"], ["--medium", "1,2"]):
         assert main(["scene", "--rig", str(rig), "--pattern", "full", *words]) == 2
 

@@ -117,7 +117,7 @@ def test_a_picture_is_looked_for_beside_the_sequence(tmp_path):
         """,
     )
     assert load_sequence(file).patterns["logo"] == ImageFile(str(tmp_path / "logo.png"))
-    with pytest.raises(SequenceError, match=r"patterns\.logo: .*logo\.png: does not exist"):
+    with pytest.raises(SequenceError, match=r"sequence\.toml: patterns\.logo \(capture logo\): .*logo\.png: does not"):
         load_sequence(file).drawn(WALL)
 
 

@@ -7,7 +7,7 @@ import pytest
 from ui.cli import stages
 from ui.cli.tables import tell_table
 
-HEADINGS = ("model", "RMSE", "σs, 1/m", "g", "ΔAIC", "what it says")
+HEADINGS = ("model", "RMSE", "σs, 1/mm", "g", "ΔAIC", "what it says")
 ROWS = [
     ("all orders, tank", "0.0012", "19.8001±0.0021", "0.70000±0.00011", "0", "agrees"),
     ("single scattering", "12.25", "(9.0000001±4.00012)", "0.1±1.0", "123456", "too uncertain to tell"),

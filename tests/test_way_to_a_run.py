@@ -115,7 +115,8 @@ def test_a_sequence_that_cannot_be_carried_out_is_found_by_the_doctor(
     file = tmp_path / "too much.toml"
     file.write_text('name = "much"\n[[steps]]\ndo = "dose"\ntotal_ul = 3000.0\n')
     assert main(["doctor", str(rig), "--no-light", "--sequence", str(file)]) == 1
-    assert "✗ the sequence can be carried out: much: dose to 3000 µl: one dose may have" in capsys.readouterr().out
+    told = " ".join(capsys.readouterr().out.split())
+    assert f"✗ the sequence can be carried out: {file}: dose to 3000 µl: one dose may have" in told
 
 
 # -- ink where a board is to be seen -----------------------------------------------------------------------------------
@@ -209,7 +210,7 @@ def test_patterns_beside_the_picture_are_refused_and_all_others_taken(rows: int,
         require_light_seen(sequence, bench)
     else:
         with pytest.raises(
-            SequenceError, match='one: pattern "sheet" cannot be fitted: it lights nothing that the camera sees'
+            SequenceError, match='one: capture sheet: pattern "sheet" cannot be fitted: it lights nothing that the'
         ):
             require_light_seen(sequence, bench)
 
@@ -238,7 +239,7 @@ def test_the_dry_run_and_the_run_name_the_dark_pattern_and_make_nothing(
         assert main(["run", "one.toml", "--out", "run", *words]) == 2
         said = capsys.readouterr()
         assert re.fullmatch(
-            r'tankrig: one: pattern "shape" cannot be fitted: it lights nothing, all of its pixels are 0; .*\n',
+            r'tankrig: one.toml: capture shape: pattern "shape" cannot be fitted: it lights nothing, all .*\n',
             said.err,
         )
         assert said.out == ""

@@ -17,6 +17,7 @@ from tests.window_rig import write_rig
 from ui.calibration_way import calibration_steps
 from ui.cli.calibrating import tell
 from ui.window.calibration_known import known_of
+from ui.window.words import calibrated
 
 
 def test_a_weighed_pump_is_known_with_the_windows_confidence(tmp_path: Path) -> None:
@@ -45,9 +46,24 @@ def test_what_a_telecentric_lens_makes_needless_is_missing_nowhere(tmp_path: Pat
     steps = calibration_steps(rig, checks)
     for kind in KINDS:
         needless = camera == "orthographic" and kind in ("camera", "tank", "projector", "stray")
-        assert (known[f"{kind}, measured"].value == "not needed") == needless
+        assert (known[f"{calibrated(kind)}, measured"].value == "not needed") == needless
         assert found[kind].finding.startswith("not needed: ") == needless == (not found[kind].remedy)
         assert bool(steps[kind].done) == needless == ("needs no calibration" in steps[kind].what)
+
+
+def test_how_well_something_was_measured_is_said_in_words(tmp_path: Path) -> None:
+    """The list of what is measured had the names of a file's keys: "rms_px 0.21, tilt_deg 31"."""
+    rig = replace(load_rig_file(write_rig(tmp_path)), camera={"driver": "v4l2-camera"})
+    rig = replace(rig, bench=replace(rig.bench, camera=Camera("pinhole", (20, 30), 8.0, (120.0, 0.0, 600.0))))
+    well = {"rms_px": 0.21, "coverage": 0.75, "tilt_deg": 31.4, "views": 15.0}
+    one = save(
+        Calibration("camera", "camera A", (20, 30), {}, rig=rig.name, how_well=well), Path(rig.calibration_folder)
+    )
+    words = "corners off by 0.21 px (rms), 75 % of the picture covered, views of the board up to 31° apart, 15 views of"
+    (step,) = (step for kind, step in calibration_steps(rig, calibration_checks(rig, {})).items() if kind == "camera")
+    known = {one.what: one.value for one in known_of(rig, tmp_path / "rig.toml", tmp_path)}
+    assert step.finding == f"{one.path and one.path.name}: {words} the board"
+    assert known["camera, measured"] == f"{words} the board"
 
 
 def test_a_simulated_rig_that_hides_nothing_wants_no_calibration(tmp_path: Path) -> None:
@@ -57,7 +73,7 @@ def test_a_simulated_rig_that_hides_nothing_wants_no_calibration(tmp_path: Path)
     steps, known = calibration_steps(rig, checks), {one.what: one for one in known_of(rig, file, tmp_path)}
     assert all(step.done for step in steps.values())
     assert all(not check.remedy for check in checks)
-    assert all(known[f"{kind}, measured"].value == "not needed" for kind in KINDS)
+    assert all(known[f"{calibrated(kind)}, measured"].value == "not needed" for kind in KINDS)
     bench = load_rig_file(Path(simulated).with_name("bench.toml"), beside=tmp_path / "bench")
     wanted = calibration_steps(bench, calibration_checks(bench, {}))
     assert not any(wanted[kind].done for kind in KINDS)

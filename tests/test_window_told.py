@@ -22,6 +22,7 @@ from tests.window_rig import until, wait_ms, window_on, write_rig
 from ui.window.banner import MOST_SHOWN, Banner
 from ui.window.elided import Elided
 from ui.window.forms import Form
+from ui.window.fresh_water import HERE
 from ui.window.kept_log import KeptLog
 from ui.window.marked_text import MarkedText
 
@@ -266,6 +267,68 @@ def test_a_dose_that_the_tank_cannot_hold_is_refused_with_its_own_limit(window):
         assert field.says.text() == f"the tank may not hold {typed}; give 0 to 4000 µl in all"
         assert not dose.isEnabled()
     on_page.fill(field, "")
+
+
+def test_what_the_doser_would_refuse_is_not_offered_and_its_words_say_why(window):
+    """A dose beyond its budget could be asked for, and was refused once the pump had been turned to."""
+    page = window.doser
+    window.show_page(page)
+    field, dose = on_page.field(page, "Dose until the tank holds"), on_page.button(page, "Dose")
+    volume, prime = on_page.field(page, "Prime the tube with"), on_page.button(page, "Prime")
+    until(dose.isEnabled)
+    window.host.dose_to(window.status.tank.volume_ul + 50.0)
+    until(lambda: window.status.target_ul is not None and not dose.isEnabled())
+    assert dose.toolTip() == prime.toolTip() == "it doses; wait for it or stop it"
+    until(lambda: not window.status.busy and dose.isEnabled())
+    held_ul = window.status.tank.volume_ul
+    for total_ul, why in (
+        (held_ul + 1500.0, "one dose may have 1000 µl at most and this one has 1500"),
+        (held_ul - 20.0, f"the tank holds {held_ul:g} µl already; {HERE}"),
+    ):
+        on_page.fill(field, f"{total_ul:g}")
+        assert (field.says.text(), dose.toolTip(), dose.isEnabled()) == (why, why, False)
+        window.host.dose_to(total_ul)
+        until(lambda why=why: why in window.banner.text)
+        until(lambda: not window.status.busy)
+    on_page.fill(field, f"{held_ul + 10.0:g}")
+    assert dose.isEnabled()
+    assert dose.toolTip() == "dose until the tank holds this much in all"
+    on_page.button(page, "the tube hangs in a waste vessel").setChecked(True)
+    on_page.fill(volume, "5000")
+    assert (
+        volume.says.text() == prime.toolTip() == "give more than 0 and no more than the 1000 µl that one dose may have"
+    )
+    assert not prime.isEnabled()
+    on_page.fill(volume, "40")
+    until(prime.isEnabled)
+    window.stop()
+    until(lambda: window.status.stopped and not dose.isEnabled())
+    assert dose.toolTip() == prime.toolTip() == "a stop is latched; clear it first"
+    on_page.button(page, "Clear the stop").click()
+    until(dose.isEnabled)
+    on_page.button(page, "the tube hangs in a waste vessel").setChecked(False)
+    on_page.fill(field, "")
+
+
+def test_light_that_misses_the_tank_is_told_where_it_is_drawn(window, tmp_path):
+    """A sheet wider than the tank's wall was cut there without a word."""
+    cut = "reaches beyond the tank's wall, -80 … 80 mm; what is beyond is cut off"
+    wide = '[patterns.wide]\nkind = "sheet"\ny_mm = [-95.0, 60.0]\nz_mm = [56.0, 64.0]\n'
+    (tmp_path / "wide.toml").write_text(f'name = "w"\n{wide}[[steps]]\ndo = "capture"\npattern = "wide"\n')
+    page = window.sequence
+    page.load(tmp_path / "wide.toml")
+    until(lambda: f'Pattern "wide": y = -95 … 60 mm {cut}.' in on_page.words_on(page))
+    page.tabs.setCurrentWidget(page.patterns)
+    until(lambda: f"y = -95 … 60 mm {cut}" in on_page.words_on(page.patterns))
+    on_page.fill(page.patterns.findChild(Form).rows["y_mm"], "-60 60")
+    until(lambda: cut not in on_page.words_on(page))
+    window.show_page(window.projector)
+    on_page.choice(window.projector, "A pattern to show between runs").setCurrentText("sheet")
+    typed = window.projector.findChild(Form).rows["y_mm"]
+    on_page.fill(typed, "-60 90")
+    until(lambda: f"y = -60 … 90 mm {cut}" in on_page.words_on(window.projector))
+    on_page.fill(typed, "-60 60")
+    until(lambda: cut not in on_page.words_on(window.projector))
 
 
 def test_a_press_long_after_the_first_is_no_second_one(window, monkeypatch):

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig import bounded_reading
+from tankrig.calibration.how_well import figure
 from tankrig.errors import DecisionError, StoreError
 from tankrig.extras import needing_extra
 from tankrig.files import whole_file
@@ -383,7 +384,10 @@ def _worse(new: Calibration, old: Calibration | None) -> Iterator[str]:
     name, value = next(iter(new.how_well.items()))
     before = old.how_well.get(name)
     if before is not None and not value <= MUCH_WORSE * before:
-        yield f"{name} = {value:.3g} is much worse than the {before:.3g} of {old.path and old.path.name}, which stays"
+        yield (
+            f"{figure(new.kind, name, value)}, much worse than the {before:.3g} of {old.path and old.path.name}, which "
+            "stays"
+        )
 
 
 def _unused(folder: Path, calibration: Calibration) -> Path:

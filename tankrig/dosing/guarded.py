@@ -11,7 +11,7 @@ from tankrig.errors import DeviceError, TankrigError, UndecidedError
 
 from .evidence import Account, Evidence, TankFinding, between, judge, used_elsewhere_ul
 from .ledger import TankLedger
-from .limits import FILL_ANEW, DoseLimits, Remaining
+from .limits import DOSING, STOPPED, DoseLimits, Remaining, too_much_already
 from .records import COUNT_KEYS, DoseDone, DoseIntent, JointCount
 
 _CLOSE_S = 60.0
@@ -178,11 +178,8 @@ class GuardedDoser:
         DeviceError
             If it is refused (nothing has moved), stopped or interrupted.
         """
-        if not 0.0 < volume_ul <= self._limits.dose_ul:
-            raise DeviceError(
-                f"{self.name}: asked for {volume_ul:g} µl beside the tank; give more than 0 and no more than the "
-                f"{self._limits.dose_ul:g} µl that one dose may have"
-            )
+        if refusal := self._limits.refusal_aside(volume_ul):
+            raise DeviceError(f"{self.name}: asked for {volume_ul:g} µl beside the tank; {refusal}")
         with self.aside(volume_ul, why) as doser:
             before_ul = self._count.volume_ul
             return doser.dose_to(before_ul + volume_ul).volume_ul - before_ul
@@ -212,7 +209,7 @@ class GuardedDoser:
     @contextmanager
     def _alone(self, what: str) -> Iterator[None]:
         if not self._dosing.acquire(blocking=False):
-            raise DeviceError(f"{self.name}: asked to {what} while it doses; wait for it or stop it")
+            raise DeviceError(f"{self.name}: asked to {what} while {DOSING}")
         try:
             yield
         finally:
@@ -230,10 +227,9 @@ class GuardedDoser:
         if not math.isfinite(total_ul):
             raise DeviceError(f"{asked} that is no volume")
         if self.stopped:
-            raise DeviceError(f"{asked} a stop is latched; clear it first")
-        if total_ul < before.volume_ul - self.increment_ul:
-            raise DeviceError(f"{asked} it holds {before.volume_ul:g} µl already; {FILL_ANEW}")
-        if refusal := self._limits.refusal(total_ul, before, self.used_ul):
+            raise DeviceError(f"{asked} {STOPPED}")
+        more = too_much_already(total_ul, before, self.increment_ul)
+        if refusal := more or self._limits.refusal(total_ul, before, self.used_ul):
             raise DeviceError(f"{asked} {refusal}")
 
     @contextmanager

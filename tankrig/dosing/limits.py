@@ -11,6 +11,9 @@ from tankrig.ranges import Within, require_ranges
 _ROUNDING_UL = 1e-6
 FILL_ANEW = "fill it anew and start a new ledger"
 """What to do about a tank that holds too much already: ends the sentences that say so."""
+STOPPED = "a stop is latched; clear it first"
+DOSING = "it doses; wait for it or stop it"
+"""Why nothing is dosed now: ends of such sentences."""
 
 Budget = Annotated[float, Within(0.0, MOST, "is no budget; give a positive number of µl", above=True)]
 """Of ink, µl."""
@@ -42,6 +45,28 @@ def dosed_to(total_ul: float, tank: Delivered) -> Delivered:
     """
     added_ul = total_ul - tank.volume_ul
     return Delivered(total_ul, tank.low_ul + added_ul, tank.high_ul + added_ul)
+
+
+def too_much_already(total_ul: float, tank: Delivered, increment_ul: float = 0.0) -> str | None:
+    """Why dosing until the tank holds `total_ul` is refused where it holds more, or None: no dose takes ink out.
+
+    Parameters
+    ----------
+    total_ul
+        What it is to hold, µl.
+    tank
+        What it holds before.
+    increment_ul
+        Smallest volume that the doser doses: by so little it may hold more.
+
+    Examples
+    --------
+    >>> too_much_already(50.0, Delivered(100.0, 90.0, 110.0))
+    'the tank holds 100 µl already; fill it anew and start a new ledger'
+    """
+    if total_ul >= tank.volume_ul - increment_ul:
+        return None
+    return f"the tank holds {tank.volume_ul:g} µl already; {FILL_ANEW}"
 
 
 @dataclass(frozen=True)
@@ -85,6 +110,16 @@ class DoseLimits:
             unsure = f", and would hold up to {high_ul:g}" if high_ul > total_ul + _ROUNDING_UL else ""
             return f"the tank may have {self.tank_ul:g} µl at most{unsure}; fill it anew and start a new ledger"
         return None
+
+    def refusal_aside(self, volume_ul: float) -> str | None:
+        """Why delivering `volume_ul` beside the tank is refused, or None.
+
+        >>> DoseLimits(dose_ul=500.0, run_ul=2000.0, tank_ul=3000.0).refusal_aside(600.0)
+        'give more than 0 and no more than the 500 µl that one dose may have'
+        """
+        if 0.0 < volume_ul <= self.dose_ul:
+            return None
+        return f"give more than 0 and no more than the {self.dose_ul:g} µl that one dose may have"
 
     def remaining(self, tank: Delivered, run_used_ul: float) -> Remaining:
         """What is left when the tank holds `tank` and the run has used so much; what is asked beyond it is refused."""

@@ -41,6 +41,7 @@ from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.spheres import spheres
 from tankrig.estimation.uncertainty import identifiable, overconfidence, stretches
 from tankrig.estimation.verdict import (
+    MUCH_LEFT_OUT,
     what_did_not_hold,
     what_has_not_settled,
     what_is_determined,
@@ -352,7 +353,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         *_on_residual(best, left, found),
         what_no_phase_describes(undescribed, rough),
         what_has_not_settled(fit.moved is not None),
-        what_may_be_another_phase(phase.doubted),
+        what_may_be_another_phase(phase.doubted and _left_out(left) <= MUCH_LEFT_OUT),
         what_is_misaligned(off),
         *_on_light_astray(left, found, scene, medium, off, spread, known),
         _on_what_was_left_out(best, left, found),
@@ -409,9 +410,13 @@ def _on_light_astray(
 
 def _on_what_was_left_out(best: Evaluation, left: Left, found: Findings) -> str:
     """Which pixels and which light do not count: sentences, or nothing."""
-    seen, prediction = best.problem.views[0].observation, left.prediction
-    share = max((skipped.bound for skipped in prediction.skipped), default=0.0)
-    return what_was_left_out(seen.saturated, int(seen.specks.sum()), share, prediction.model, found.aside)
+    seen, model = best.problem.views[0].observation, left.prediction.model
+    return what_was_left_out(seen.saturated, int(seen.specks.sum()), _left_out(left), model, found.aside)
+
+
+def _left_out(left: Left) -> float:
+    """Share of the light that the model leaves out."""
+    return max((skipped.bound for skipped in left.prediction.skipped), default=0.0)
 
 
 def _unseen_floor(

@@ -1,7 +1,7 @@
 """What fits say: of one image, of several images of one liquid, of a dilution series, and order by order."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -284,6 +284,33 @@ class Reconstruction:
     image: Image
     residual: Image
     rmse: float
+
+
+ALL_ORDERS = "all orders"
+_LIGHT = {
+    "single": "order 1 alone",
+    "convolution": "all orders in an infinite medium",
+    "diffuse": "the diffuse limit",
+}
+
+
+def light_of(model: str, max_order: int | None = None) -> str:
+    """What light the whole image of a model holds, in words: `Reconstruction.orders` calls it "all" of any.
+
+    >>> light_of("tank"), light_of("tank", 3), light_of("single"), light_of("diffuse")
+    ('all orders', 'orders 1–3', 'order 1 alone', 'the diffuse limit')
+    """
+    if model == "single" or max_order == 1:
+        return _LIGHT["single"]
+    if max_order is not None:
+        return f"orders 1–{max_order}" + (" in an infinite medium" if model == "convolution" else "")
+    return _LIGHT.get(model, ALL_ORDERS)
+
+
+def told_apart(rebuilt: Sequence[Reconstruction], max_order: int | None) -> list[Reconstruction]:
+    """Reconstructions that are not the same as the whole, where no more than orders 1 … `max_order` were fitted."""
+    highest = {"1": 1, "1–3": 3, "1–20": 20}
+    return [one for one in rebuilt if max_order is None or highest.get(one.orders, 0) < max_order]
 
 
 def by_order(estimate: Estimate, prediction: Prediction) -> tuple[Reconstruction, ...]:

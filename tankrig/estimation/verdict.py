@@ -17,6 +17,10 @@ HALO = f"lens or air spread {100.0 * STRAY:.2g} % of the light into a wide halo"
 """What nobody has measured on most benches."""
 TOO_LIKELY = -3.0
 """Logarithm of how many times likelier another phase function is from which on a verdict speaks of it."""
+SLIGHT = 0.005
+"""Share of the image up to which structure is no reason to say that the model does not hold: intervals count it."""
+MUCH_LEFT_OUT = 0.1
+"""Share of the light from which on it matters more than anything else that the model leaves it out."""
 TELLING_MOVE = 1.0
 """Standard deviations of a coefficient by which a cause moves it before it is no noise."""
 
@@ -91,9 +95,20 @@ def what_is_left(
         Whether it shows a cause, see `what_is_shown`.
     others
         Causes that are nearly as likely as that one.
+
+    Examples
+    --------
+    >>> print(what_is_left(0.002, 0.001, 1.0))
+    The residual holds structure of 0.2 % of the image that neither noise nor the model's own error of 0.1 % explains;
+    what that may do to the coefficients is in their intervals.
     """
     sentences = []
-    if structure > stated:
+    if stated < structure <= SLIGHT:
+        sentences.append(
+            f"The residual holds structure of {_percent(structure)} of the image that neither noise nor the model's "
+            f"own error of {_percent(stated)} explains; what that may do to the coefficients is in their intervals."
+        )
+    elif structure > stated:
         sentences.append(
             f"The residual holds structure of {_percent(structure)} of the image that neither noise nor the model's "
             f"own error of {_percent(stated)} explains: the model does not hold as described (uneven ink, a misaligned "
@@ -161,7 +176,7 @@ def what_was_left_out(
             "pixels at the highest value or within its noise were"
         )  # fmt: skip
         sentences.append(f"{saturated} {were} taken for saturated and left out; shorten the exposure.")
-    if share_left_out > 0.1:
+    if share_left_out > MUCH_LEFT_OUT:
         amount = f"up to {_percent(share_left_out)}" if math.isfinite(share_left_out) else "an unknown share"
         sentences.append(
             f'The "{model}" model leaves out {amount} of the light: the coefficients are those that make it fit, '

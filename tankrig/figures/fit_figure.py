@@ -1,14 +1,14 @@
 """The picture of a fit: observation, reconstruction by scattering order, residuals, and single scattering beside it."""
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tankrig.estimation.estimate import Estimate
-from tankrig.estimation.result import Reconstruction
+from tankrig.estimation.result import ALL_ORDERS, Reconstruction, light_of, told_apart
 from tankrig.figures.tank_image import (
     FALSE_COLOUR,
     GREY,
@@ -38,7 +38,12 @@ NOISE_REACHES = 4.0
 
 
 def write_fit_figure(
-    path: Path, scene: Scene, estimate: Estimate, rebuilt: Sequence[Reconstruction], single: Estimate | None
+    path: Path,
+    scene: Scene,
+    estimate: Estimate,
+    rebuilt: Sequence[Reconstruction],
+    single: Estimate | None,
+    max_order: int | None = None,
 ) -> None:
     """Draw a fit and write it as a picture; the file is there whole or not at all.
 
@@ -56,6 +61,8 @@ def write_fit_figure(
         Its reconstructions by order, see `by_order`.
     single
         Fit of the single-scattering model to the same image; None where that is what `estimate` is.
+    max_order
+        The highest order that was fitted; None for all that the model has.
 
     Raises
     ------
@@ -67,11 +74,10 @@ def write_fit_figure(
 
     observed = estimate.image + estimate.residual
     percent = 100.0 / float(np.nanmax(observed))
-    columns = [f"{kind}{index}" for kind in ("image", "residual") for index in range(4)]
     beside = "grey" if estimate.structure is None else "structure"
-    names = [["colour", beside, "text", "text"], columns[:4], columns[4:]]
-    if single is not None:
-        names.append(["single", "single residual", "along", "across"])
+    rebuilt = told_apart(rebuilt, max_order)
+    alone, whole = len(rebuilt) == 1, light_of(estimate.model, max_order)
+    names = [["colour", beside, "text", "text"], *_rows(alone, single is not None)]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(15.0, 2.95 * len(names)), layout="constrained")
         axes: dict[str, Axes] = figure.subplot_mosaic(names)  # type: ignore[arg-type]
@@ -83,16 +89,35 @@ def write_fit_figure(
             _draw_structure(axes[beside], scene, estimate.structure)
         label_outer([[axes["colour"], axes[beside]]])
         _write_text(axes["text"], estimate)
-        grid = [[axes[name] for name in row] for row in (columns[:4], columns[4:])]
-        reach = draw_reconstructions(grid, scene, rebuilt, observed, estimate.noise)
+        grid = [[axes[f"{kind}{index}"] for index in range(1 if alone else 4)] for kind in ("image", "residual")]
+        reach = draw_reconstructions(grid, scene, rebuilt, observed, estimate.noise, whole)
+        if alone:
+            label_outer([[grid[0][0], grid[1][0]]])
         if single is not None:
-            _draw_single([axes[name] for name in names[-1]], scene, observed, estimate, single, reach)
+            _draw_single((axes["single"], axes["single residual"]), scene, observed, estimate, single, reach)
+        if "along" in axes:
+            _draw_profiles((axes["along"], axes["across"]), scene, observed, estimate, single, whole)
         with whole_file(path) as unfinished:
             figure.savefig(unfinished, dpi=120)
 
 
+def _rows(alone: bool, compared: bool) -> list[list[str]]:
+    """What stands below the observation: of a model that tells no orders apart one image, which leaves room beside."""
+    if alone and compared:
+        return [["image0", "residual0", "single", "single residual"], ["along", "along", "across", "across"]]
+    if alone:
+        return [["image0", "residual0", "along", "across"]]
+    orders = [[f"{kind}{index}" for index in range(4)] for kind in ("image", "residual")]
+    return [*orders, ["single", "single residual", "along", "across"]] if compared else orders
+
+
 def draw_reconstructions(
-    grid: Sequence[Sequence["Axes"]], scene: Scene, rebuilt: Sequence[Reconstruction], observed: Image, noise: float
+    grid: Sequence[Sequence["Axes"]],
+    scene: Scene,
+    rebuilt: Sequence[Reconstruction],
+    observed: Image,
+    noise: float,
+    whole: str = ALL_ORDERS,
 ) -> "Normalize":
     """Reconstructions on the observation's colour scale above their residuals on one scale (the paper's Figs. 6, 7).
 
@@ -106,6 +131,8 @@ def draw_reconstructions(
         See `by_order`.
     observed, noise
         The observation and the standard deviation of its noise, image units.
+    whole
+        What the model's whole image holds, see `light_of`.
 
     Returns
     -------
@@ -115,8 +142,8 @@ def draw_reconstructions(
     scale = brightness(percent * observed)
     reach = signed(percent * rebuilt[0].residual, percent * noise)
     for column, one in enumerate(rebuilt):
-        which = {"1": "order 1", "all": "all orders"}.get(one.orders, f"orders {one.orders}")
-        title = f"{which.capitalize()}: RMSE {percent * one.rmse:.3g} %"
+        which = {"1": "order 1", "all": whole}.get(one.orders, f"orders {one.orders}")
+        title = f"{which[:1].upper()}{which[1:]}: RMSE {percent * one.rmse:.3g} %"
         top = draw(grid[0][column], percent * one.image, scene, FALSE_COLOUR, scale, title)
         bottom = draw(grid[1][column], percent * one.residual, scene, RESIDUAL_COLOUR, reach, f"Observed − {which}")
     shown = [row[: len(rebuilt)] for row in grid]
@@ -159,8 +186,8 @@ def _draw_structure(axes: "Axes", scene: Scene, structure: Image) -> None:
 def _draw_single(
     axes: Sequence["Axes"], scene: Scene, observed: Image, estimate: Estimate, single: Estimate, reach: "Normalize"
 ) -> None:
-    """Best fit of single scattering alone, and where it fails: along the light and across it."""
-    image, residual, along, across = axes
+    """Best fit of single scattering alone, and what it leaves."""
+    image, residual = axes
     percent = 100.0 / float(np.nanmax(observed))
     ratio = single.medium.sigma_t / estimate.medium.sigma_t
     title = f"Single scattering alone: RMSE {percent * single.rmse:.3g} %"
@@ -168,22 +195,35 @@ def _draw_single(
     title = f"Observed − it; its $\\sigma_t$ is {ratio:.3g} × the fit's"
     draw(residual, percent * single.residual, scene, RESIDUAL_COLOUR, reach, title)
     label_outer([[image, residual]])
+
+
+def _draw_profiles(
+    axes: Sequence["Axes"], scene: Scene, observed: Image, estimate: Estimate, single: Estimate | None, whole: str
+) -> None:
+    """The observation and the fit along the light and across it, with single scattering where that was fitted too."""
+    along, across = axes
+    percent = 100.0 / float(np.nanmax(observed))
     x, y = pixel_centres(scene, (observed.shape[0], observed.shape[1]))
     row = int(np.nanargmax(np.nansum(observed, axis=1)))
     column = int(np.argmin(np.abs(x - PROFILE_X_MM)))
-    curves = [percent * one for one in (observed, estimate.image, single.image)]
-    _draw_curves(along, x, [one[row] for one in curves])
+    fitted = "full fit" if whole == ALL_ORDERS else f"fit: {whole}"
+    curves = {"observed": percent * observed, fitted: percent * estimate.image}
+    if single is not None:
+        curves["single-scattering fit"] = percent * single.image
+    _draw_curves(along, x, {name: one[row] for name, one in curves.items()})
     along.set(xlabel="x (mm)", title=f"% of peak along the light, y = {y[row]:g} mm")
-    _draw_curves(across, y, [one[:, column] for one in curves])
+    _draw_curves(across, y, {name: one[:, column] for name, one in curves.items()})
     across.set(xlabel="y (mm)", title=f"% of peak across it, x = {x[column]:g} mm")
     along.legend()
 
 
-def _draw_curves(axes: "Axes", at: Image, curves: Sequence[Image]) -> None:
-    observed, full, single = curves
-    axes.plot(at, observed, ".", color=OBSERVED, markersize=3.5, label="observed")
-    axes.plot(at, full, color=FULL, linewidth=1.4, label="full fit")
-    axes.plot(at, single, color=SINGLE, linewidth=1.2, linestyle="--", label="single-scattering fit")
+def _draw_curves(axes: "Axes", at: Image, curves: Mapping[str, Image]) -> None:
+    """The observation first, then the fit, then single scattering's."""
+    (name, observed), (fitted, full), *rest = curves.items()
+    axes.plot(at, observed, ".", color=OBSERVED, markersize=3.5, label=name)
+    axes.plot(at, full, color=FULL, linewidth=1.4, label=fitted)
+    for name, single in rest:
+        axes.plot(at, single, color=SINGLE, linewidth=1.2, linestyle="--", label=name)
     axes.set_yscale("log")
     bright = np.concatenate([observed, full])
     positive = bright[bright > 0.0]

@@ -37,7 +37,8 @@ def require_fittable(sequence: Sequence, bench: Bench) -> None:
         try:
             PhotographPlan.of(bench, sequence, [pattern]).require_left()
         except SceneError as error:
-            raise SequenceError(f'{sequence.name}: pattern "{name}" cannot be fitted: {error}') from error
+            where = f"{sequence.called}: {sequence.first_with(name)}"
+            raise SequenceError(f'{where}: pattern "{name}" cannot be fitted: {error}') from error
 
 
 @contextmanager

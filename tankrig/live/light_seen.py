@@ -35,7 +35,8 @@ def require_light_seen(sequence: Sequence, bench: Bench) -> None:
     for name, pattern in sequence.drawn(bench.wall).items():
         meant_to_be_dark = isinstance(sequence.patterns.get(name, Dark() if name == "dark" else None), Dark)
         if not meant_to_be_dark and (fault := _unseen(pattern, bench)):
-            raise SequenceError(f'{sequence.name}: pattern "{name}" cannot be fitted: it {fault}')
+            where = f"{sequence.called}: {sequence.first_with(name)}"
+            raise SequenceError(f'{where}: pattern "{name}" cannot be fitted: it {fault}')
 
 
 def _unseen(pattern: Pattern, bench: Bench) -> str:

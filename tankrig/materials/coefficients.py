@@ -145,6 +145,7 @@ def optics(material: Material, wavelength_nm: float, band_nm: float = 0.0) -> Op
         When nobody has published it there.
     """
     name = material.name
+    material.require_known_at(wavelength_nm)
     try:
         if material.beads is not None:
             beads = material.beads

@@ -73,7 +73,9 @@ class Curve:
         """
         if not self.covers(wavelength_nm):
             low, high = self.range_nm or (0.0, 0.0)
-            raise SceneError(f"{wavelength_nm:g} nm is outside {low:g} … {high:g} nm, where {self._author} holds")
+            raise SceneError(
+                f"{self._author} says nothing at {wavelength_nm:g} nm; give a wavelength from {low:g} to {high:g} nm"
+            )
         if self.law == "rows":
             return float(np.interp(wavelength_nm, self.wavelengths_nm, self.values))
         if self.law == "power":

@@ -83,13 +83,38 @@ class Material:
     def range_nm(self) -> tuple[float, float] | None:
         """Wavelengths at which all is known that is needed to dose it, or σs(1−g) where nobody says more; None: nothing
         is known at any."""
-        needed = (self.sigma_s, self.g) if self.beads is None else (self.beads.index, self.beads.water_index)
-        if self.beads is None and self.sigma_s is None:
-            needed = (self.reduced, None)
+        needed: tuple[Curve | None, ...] = (self.sigma_s, self.sigma_a, self.g)
+        if self.beads is not None:
+            needed = (self.beads.index, self.beads.water_index)
+        elif self.sigma_s is None:
+            needed = (self.reduced,)
         ranges = [one.range_nm for one in needed if one is not None and one.range_nm is not None]
         if not ranges:
             return None
         return max(low for low, _ in ranges), min(high for _, high in ranges)
+
+    def require_known_at(self, wavelength_nm: float) -> None:
+        """Refuse a wavelength for which not all that is needed of the liquid is published.
+
+        Raises
+        ------
+        SceneError
+            With the wavelengths that there are.
+
+        Examples
+        --------
+        >>> material("milk-whole").require_known_at(633.0)
+        Traceback (most recent call last):
+        tankrig.errors.SceneError: milk-whole: is published from 460 to 620 nm, not at 633 nm; give a wavelength there
+        """
+        if self.range_nm is None:
+            return
+        low, high = self.range_nm
+        if not low <= wavelength_nm <= high:
+            raise SceneError(
+                f"{self.name}: is published from {low:g} to {high:g} nm, not at {wavelength_nm:g} nm; give a "
+                "wavelength there"
+            )
 
     def labelled(self, label: dict[str, tuple[float, float | None]]) -> "Material":
         """With what the label of one's own bottle says: value and standard deviation by "diameter_um", "solids", ….

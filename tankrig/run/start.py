@@ -147,8 +147,8 @@ def _require_bursts(sequence: Sequence, rig: Rig, patterns: Mapping[str, Pattern
             continue
         if not isinstance(rig.projector, BurstProjector) or not can_burst(rig.projector, rig.camera):
             raise SequenceError(
-                f"{sequence.name}: {task.label}: {rig.projector.name} and {rig.camera.name} take no bursts, since one "
-                f"of them has no trigger; write capture steps"
+                f"{sequence.called}: {task.label}: {rig.projector.name} and {rig.camera.name} take no bursts, since "
+                f"one of them has no trigger; write capture steps"
             )
         asked = (task.action.patterns, sequence.camera_settings(task.action))
         if asked not in loaded:

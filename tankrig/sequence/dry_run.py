@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from tankrig.devices import Delivered
-from tankrig.dosing.limits import FILL_ANEW, DoseLimits, dosed_to
+from tankrig.dosing.limits import DoseLimits, dosed_to, too_much_already
 from tankrig.errors import SequenceError
 from tankrig.ranges import Within, require_ranges
 from tankrig.scene.description import CLOSED
@@ -154,12 +154,9 @@ def dry_run(
         )
         if isinstance(action, Dose) and action.total_ul != tank.volume_ul and not done:
             ink_ul = action.total_ul - tank.volume_ul
-            if ink_ul < 0.0:
-                raise SequenceError(
-                    f"{sequence.name}: {task.label}: the tank holds {tank.volume_ul:g} µl already; {FILL_ANEW}"
-                )
-            if refusal := limits.refusal(action.total_ul, tank, run_used_ul):
-                raise SequenceError(f"{sequence.name}: {task.label}: {refusal}")
+            more = too_much_already(action.total_ul, tank)
+            if refusal := more or limits.refusal(action.total_ul, tank, run_used_ul):
+                raise SequenceError(f"{sequence.called}: {task.label}: {refusal}")
             run_used_ul += action.total_ul - tank.low_ul
             tank = dosed_to(action.total_ul, tank)
         frames = action.frames if isinstance(action, Capture | Burst) else 0

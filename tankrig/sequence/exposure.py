@@ -93,7 +93,7 @@ def require_whole_periods(sequence: Sequence, rule: ExposureRule) -> None:
     rule = rule_for(sequence, rule)
     for label, settings in _exposures(sequence):
         if refusal := rule.refusal(settings.exposure_ms):
-            raise SequenceError(f"{sequence.name}: {label}: {refusal}")
+            raise SequenceError(f"{sequence.called}: {label}: {refusal}")
 
 
 def require_camera_keeps(sequence: Sequence, rule: ExposureRule, camera: CameraDevice) -> None:
@@ -114,7 +114,7 @@ def require_camera_keeps(sequence: Sequence, rule: ExposureRule, camera: CameraD
             actual_ms = camera.configure(settings).exposure_ms
             if refusal := rule.refusal(actual_ms):
                 asked = f"{camera.name} makes {actual_ms:g} ms of exposure_ms = {settings.exposure_ms:g}"
-                raise SequenceError(f"{sequence.name}: {label}: {asked}: {refusal}")
+                raise SequenceError(f"{sequence.called}: {label}: {asked}: {refusal}")
 
 
 def _exposures(sequence: Sequence) -> Iterator[tuple[str, CameraSettings]]:

@@ -40,7 +40,8 @@ def load_sequence(path: str | os.PathLike[str]) -> Sequence:
     'capture full'
     """
     file = Path(path)
-    return sequence_beside(file.parent, read_toml(file, "a sequence file", SequenceError), str(file))
+    sequence = sequence_beside(file.parent, read_toml(file, "a sequence file", SequenceError), str(file))
+    return replace(sequence, source=str(file))
 
 
 def sequence_beside(folder: Path, table: dict[str, Any], name: str) -> Sequence:
@@ -67,10 +68,12 @@ def sequence_from_table(table: dict[str, Any], name: str) -> Sequence:
     SequenceError
         About the first thing that is wrong.
     """
+    if "source" in table:  # a field of Sequence that no file may set
+        raise SequenceError(f'{name}: key "source" is unknown; remove it')
     return checked(Sequence, table, name, SequenceError)
 
 
 def sequence_table(sequence: Sequence) -> dict[str, Any]:
     """The sequence as plain data, of which `sequence_from_table` makes it again."""
-    table: dict[str, Any] = adapter_of(Sequence).dump_python(sequence, mode="json")
+    table: dict[str, Any] = adapter_of(Sequence).dump_python(sequence, mode="json", exclude={"source"})
     return table

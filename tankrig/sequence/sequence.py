@@ -11,10 +11,11 @@ from pydantic import Field
 from tankrig.devices import CameraSettings
 from tankrig.errors import SequenceError
 from tankrig.pattern import Pattern
+from tankrig.pattern.cut_off import cut_off
 from tankrig.pattern.kinds import AnyKind, Dark, Full, draw
 from tankrig.pattern.wall import Wall
 from tankrig.ranges import require_ranges
-from tankrig.scene.description import CLOSED, Medium
+from tankrig.scene.description import CLOSED, Medium, Tank
 from tankrig.sequence.steps import (
     MOST_TASKS,
     Burst,
@@ -61,6 +62,8 @@ class Sequence:
     phase
         Which phase functions fits search, as in `tankrig.estimate`; None: the material's or the ink's, and
         Henyey–Greenstein where neither says any.
+    source
+        The file that it came from, for messages.
 
     Raises
     ------
@@ -91,6 +94,7 @@ class Sequence:
     material: str = ""
     wavelength_nm: float | None = None
     phase: Phase | None = None
+    source: str = field(default="", repr=False, compare=False)
 
     def __post_init__(self) -> None:
         require_ranges(self, SequenceError)
@@ -123,6 +127,11 @@ class Sequence:
             near = difflib.get_close_matches(name, known, n=1)
             advice = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
             raise SequenceError(f'{task.label}: pattern "{name}" is unknown; {advice}')
+
+    @property
+    def called(self) -> str:
+        """What messages call it: by its file, or by its name where it has none."""
+        return self.source or self.name
 
     @cached_property
     def tasks(self) -> tuple[Task, ...]:
@@ -175,15 +184,51 @@ class Sequence:
         SequenceError
             When one cannot be drawn with this projector.
         """
-        kinds = _ALWAYS | dict(self.patterns) | self.waves
-        used = [pattern for task in self.tasks for pattern in _patterns_of(task)]
         patterns = {}
-        for name in dict.fromkeys([*used, "dark"]):
+        for name, (kind, label) in self._used.items():
             try:
-                patterns[name] = draw(kinds[name], wall, name)
+                patterns[name] = draw(kind, wall, name)
             except SequenceError as error:
-                raise SequenceError(f"patterns.{name}: {error}") from error
+                where = label if name in self.waves else f"patterns.{name} ({label})"
+                raise SequenceError(f"{self.called}: {where}: {error}") from error
         return patterns
+
+    def cut_off(self, wall: Wall, tank: Tank) -> tuple[str, ...]:
+        """What light its steps ask for that misses the tank, in a sentence for each pattern.
+
+        Parameters
+        ----------
+        wall
+            Of the projector.
+        tank
+            Whose wall is lit.
+
+        Examples
+        --------
+        >>> from tankrig.pattern.kinds import Sheet
+        >>> sequence = Sequence("wide", (Capture("sheet"),), {"sheet": Sheet((-90.0, 60.0), (58.0, 62.0))})
+        >>> print(*sequence.cut_off(Wall((120, 160), (-80.0, 80.0), (0.0, 120.0)), Tank()))
+        pattern "sheet": y = -90 … 60 mm reaches beyond the tank's wall, -80 … 80 mm; what is beyond is cut off
+        """
+        found = []
+        for name, (kind, _) in self._used.items():
+            what = "waves of a separate step" if name in self.waves else f'pattern "{name}"'
+            found += [f"{what}: {said}" for said in cut_off(kind, wall, tank)]
+        return tuple(dict.fromkeys(found))
+
+    @cached_property
+    def _used(self) -> dict[str, tuple[AnyKind, str]]:
+        """Patterns that its steps show by name, in their order, and the label of the first step that does."""
+        kinds, found = _ALWAYS | dict(self.patterns) | self.waves, dict[str, tuple[AnyKind, str]]()
+        for task in self.tasks:
+            for name in _patterns_of(task):
+                found.setdefault(name, (kinds[name], task.label))
+        found.setdefault("dark", (_ALWAYS["dark"], "the dark between steps"))
+        return found
+
+    def first_with(self, pattern: str) -> str:
+        """Label of the first step that shows a pattern, for messages."""
+        return self._used[pattern][1]
 
 
 def _patterns_of(task: Task) -> tuple[str, ...]:

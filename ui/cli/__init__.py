@@ -112,7 +112,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         error.show()
         return BAD_INPUT
     except click.UsageError as error:
-        where = error.ctx.command_path if error.ctx else "tankrig"
+        words = sys.argv[1:] if arguments is None else arguments
+        asked = next((f"tankrig {word}" for word in words if word in COMMANDS), "tankrig")  # click forgets it at times
+        where = error.ctx.command_path if error.ctx else asked
         # click puts each choice on a line of its own, and a question into a sentence of its own.
         said = error.format_message().replace("\n\t", " ").replace(". Did you mean", "; did you mean").rstrip(".")
         return _say(f"{said} (see {where} --help)" if said.endswith("?") else f"{said}; see {where} --help", BAD_INPUT)

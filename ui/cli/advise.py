@@ -236,9 +236,11 @@ def _of_guess(
     from tankrig.live.photograph_plan import PhotographPlan
     from tankrig.scene import Medium
     from tankrig.sequence import load_sequence
+    from ui.cli.run import tell_what_is_cut_off
 
     sequence = load_sequence(file)
     patterns = list(sequence.drawn(description.bench.wall).values())
+    tell_what_is_cut_off(sequence, description)
     plan = PhotographPlan.of(description.bench, sequence, patterns)
     return from_guess(Medium(*ink), 1.0, noise), [], plan, sequence.exposure_ms
 

@@ -109,7 +109,7 @@ def _tell(rows: "Sequence[Record]", by: str | None) -> None:
     from rich.console import Console
 
     heads = ("run", "day", "rig", "material") if by is None else (by, "fits")
-    headings = (*heads, "ml", "σs, 1/m", "g", "σa, 1/m", *(("old, sd",) if by is None else ()))
+    headings = (*heads, "ml", "σs, 1/mm", "g", "σa, 1/mm", *(("old, sd",) if by is None else ()))
     cells: list[tuple[str, ...]] = []
     for row in rows[:SHOWN]:
         start = (
@@ -148,11 +148,10 @@ def _cell(row: "Record", name: str) -> str:
     from tankrig.live.formatting import with_error
 
     value, sd = row[name], row[f"sd_{name}"]
-    by = 1.0 if name == "g" else 1000.0
     if value is None:
         return ""
     mark = "?" if row.get(f"determined_{name}") is False else ""
-    return (f"{by * value:.4g}" if not sd else with_error(by * value, by * sd).replace(" ± ", "±")) + mark
+    return (f"{value:.4g}" if not sd else with_error(value, sd).replace(" ± ", "±")) + mark
 
 
 def _reading() -> Any:

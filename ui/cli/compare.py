@@ -17,9 +17,11 @@ if TYPE_CHECKING:
     from tankrig.estimation.comparison import Compared, Comparison
     from tankrig.scene import Scene
 
-SHOWN = {"sigma_s": "σs, 1/m", "g": "g", "sigma_a": "σa, 1/m"}
+SHOWN = {"sigma_s": "σs, 1/mm", "g": "g", "sigma_a": "σa, 1/mm"}
 UNKNOWN = 10.0
 """Times a coefficient that is not zero: beyond that it says nothing by how much it is unknown."""
+LEAST = {"sigma_s": 1e-3, "g": 1.0, "sigma_a": 1e-3}
+"""What a coefficient counts as for that, however small it is; 1/mm, g has no unit."""
 
 
 @click.command(epilog="Example: tankrig compare tank.npz --scene scene.toml")
@@ -141,20 +143,18 @@ def _cells(row: "Compared") -> list[str]:
     assert row.estimate is not None
     cells = []
     for name, (low, high) in row.estimate.interval(LEVEL).items():
-        by = 1.0 if name == "g" else 1000.0
-        value, half = by * getattr(row.estimate.medium, name), by * 0.5 * (high - low)
-        text = _with_half(value, half)
+        text = _with_half(getattr(row.estimate.medium, name), 0.5 * (high - low), LEAST[name])
         cells.append((name, text if row.estimate.identifiable[name] else f"({text})"))
     return [dict(cells)[name] for name in SHOWN]
 
 
-def _with_half(value: float, half: float) -> str:
-    """A coefficient with half of its interval, to two digits of that.
+def _with_half(value: float, half: float, least: float) -> str:
+    """A coefficient with half of its interval, to two digits of that; `least` is one of `LEAST`.
 
-    >>> _with_half(19.8001, 0.00213), _with_half(15.0, 87801213.0), _with_half(0.2, 3.0)
-    ('19.8001±0.0021', '15±> 999 %', '0.2±3.0')
+    >>> _with_half(0.0198001, 0.00000213, 1e-3), _with_half(0.015, 87801.0, 1e-3), _with_half(0.2, 3.0, 1.0)
+    ('0.0198001±0.0000021', '0.015±> 999 %', '0.2±3.0')
     """
-    if not half < UNKNOWN * max(abs(value), 1.0):
+    if not half < UNKNOWN * max(abs(value), least):
         return f"{value:.3g}±> 999 %"
-    digits = min(6, max(0, 1 - math.floor(math.log10(half)))) if half > 0.0 else 3
+    digits = min(9, max(0, 1 - math.floor(math.log10(half)))) if half > 0.0 else 6
     return f"{value:.{digits}f}±{half:.{digits}f}"

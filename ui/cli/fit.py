@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 LEVEL = 0.95
 """Of the intervals that are printed."""
 
+NOTHING = 10.0
+"""Times a value from which on a standard deviation says nothing, its digits neither: they would make the value 0."""
+
 FORMAT = "tankrig fit 1"
 """Of the JSON, whose schema is fit-1.schema.json beside this file: keys may be added, and none changes its meaning."""
 
@@ -274,13 +277,13 @@ def fit(
             "picture": f"{stem}.png",
             "arrays": f"{stem}.npz",
         }
-        _write(stem, numbers, scene, fitted, rebuilt, single)
+        _write(stem, numbers, scene, fitted, rebuilt, single, max_order)
     for note in notes[told:]:
         click.echo(f"note: {note}", err=True)
     if as_json:
         click.echo(json.dumps(numbers, ensure_ascii=False))
     else:
-        _tell(fitted, rebuilt, single, seconds)
+        _tell(fitted, rebuilt, single, seconds, max_order)
         _tell_left_out(picture, fitted)
         if measured is not None:
             click.echo(f"by       {measured.radiometry_file}")
@@ -393,6 +396,7 @@ def _write(
     fitted: "Estimate",
     rebuilt: "Sequence[Reconstruction]",
     single: "Estimate | None",
+    max_order: int | None,
 ) -> None:
     """Picture, numbers and images: all of them or none."""
     import numpy as np
@@ -404,22 +408,31 @@ def _write(
         picture, text, arrays = (
             files.enter_context(whole_file(stem.with_name(stem.name + suffix))) for suffix in (".png", ".json", ".npz")
         )
-        write_fit_figure(picture, scene, fitted, rebuilt, single)
+        write_fit_figure(picture, scene, fitted, rebuilt, single, max_order)
         text.write_text(json.dumps(numbers, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
         images = {f"orders_{one.orders.replace('–', '_')}": one.image for one in rebuilt}
         images |= {} if fitted.structure is None else {"structure": fitted.structure}
         np.savez_compressed(arrays, allow_pickle=False, fitted=fitted.image, residual=fitted.residual, **images)
 
 
-def _tell(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Estimate | None", seconds: float) -> None:
+def _tell(
+    fitted: "Estimate",
+    rebuilt: "Sequence[Reconstruction]",
+    single: "Estimate | None",
+    seconds: float,
+    max_order: int | None,
+) -> None:
     from rich.console import Console
+
+    from tankrig.estimation.result import ALL_ORDERS, light_of, told_apart
 
     rows: list[tuple[str, ...]] = []
     for k, (name, (low, high)) in enumerate(fitted.interval(LEVEL).items()):
         sd = math.sqrt(fitted.covariance[k, k])
         value = getattr(fitted.medium, name)
         unit = "" if name == "g" else "/mm"
-        shown = [_rounded(one, sd) for one in (value, sd, low, high)]
+        digits_of = math.nan if sd > NOTHING * abs(value) else sd
+        shown = [_rounded(one, digits_of) for one in (value, sd, low, high)]
         known = "yes" if fitted.identifiable[name] else "no"
         rows.append((name, shown[0], shown[1], f"{shown[2]} … {shown[3]}", unit, known))
     scattering = fitted.scattering
@@ -438,11 +451,16 @@ def _tell(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Esti
         of = "its mean cosine" if len(scattering.families) == 1 else "the mean cosine of what they make together"
         console.print(f"\nphase function  {shares}; g is {of}", highlight=False)
     console.print(f"\n{fitted.verdict}\n", highlight=False, markup=False)
-    by_order = ",  ".join(f"{one.orders}: {one.rmse:.3g}" for one in rebuilt)
+    whole = light_of(fitted.model, max_order)
+    last = "all" if whole.startswith(ALL_ORDERS) else whole.removeprefix("orders ")
+    told = [(last if one.orders == "all" else one.orders, one.rmse) for one in told_apart(rebuilt, max_order)]
+    by_order = f"{whole}: {told[0][1]:.3g}" if len(told) == 1 else "orders " + ",  ".join(
+        f"{name}: {rmse:.3g}" for name, rmse in told
+    )  # fmt: skip
     console.print(
         f"model    {fitted.model}, {seconds:.1f} s; gain {fitted.gain:.5g}, offset {fitted.offset:.3g}", highlight=False
     )
-    console.print(f"RMSE     orders {by_order}", highlight=False)
+    console.print(f"RMSE     {by_order}", highlight=False)
     if single is not None:
         ratio = single.medium.sigma_t / fitted.medium.sigma_t
         text = f"         single scattering alone: {single.rmse:.3g}, with {ratio:.3g} times that σa + σs"
@@ -450,7 +468,13 @@ def _tell(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "Esti
 
 
 def _rounded(value: float, sd: float) -> str:
-    """A value to two digits of its standard deviation."""
+    """A value to two digits of its standard deviation; to three of its own where that is not known.
+
+    >>> _rounded(0.0198, 0.00021), _rounded(0.0198, math.nan), _rounded(217414.2, math.nan)
+    ('0.01980', '0.0198', '2.17e+05')
+    """
+    if math.isnan(sd):
+        return f"{value:.3g}"
     if not math.isfinite(value) or sd <= 0.0:
         return f"{value:.4g}"
     return f"{value:.{max(0, 1 - math.floor(math.log10(sd)))}f}"

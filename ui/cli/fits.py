@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 NAMES = ("sigma_a", "sigma_s", "g")
 SHOWN = ("sigma_s", "g", "sigma_a")
+TRUTH = "truth"
 
 
 def fits_of(run: Path, description: "RigFile | None") -> dict[str, Any]:
@@ -55,22 +56,20 @@ def fits_of(run: Path, description: "RigFile | None") -> dict[str, Any]:
 
 
 def tell_fits(found: dict[str, Any]) -> None:
-    """Coefficients in 1/m, which makes them short, and how wrong single scattering is."""
+    """Coefficients, the truth beneath them where it is known, and how wrong single scattering is."""
     from rich.console import Console
 
-    known = any("truth" in row for row in found["doses"])
-    headings = [heading for name in ("σs, 1/m", "g", "σa, 1/m") for heading in ((name, "truth") if known else (name,))]
     rows: list[tuple[str, ...]] = []
     for row in found["doses"]:
-        cells = _cells(row["fitted"], row["sd"], row.get("truth"), row["determined"])
         by = row["single_sigma_t_ratio"]
-        rows.append((f"{row['dose_ml']:.3g} ml", *cells, "–" if by is None else f"{100.0 * (by - 1.0):+.0f} %"))
+        head, single = f"{row['dose_ml']:.3g} ml", "–" if by is None else f"{100.0 * (by - 1.0):+.0f} %"
+        rows += _rows(head, row["fitted"], row["sd"], row["determined"], single, row.get("truth"))
     if "ink_per_ml" in found:
         sd = dict(zip(NAMES, found["ink_sd"], strict=False))
-        cells = _cells(found["ink_per_ml"], sd, found.get("truth_per_ml"), found["ink_determined"])
-        rows += [(), ("per ml", *cells, "")]
-    styles = ["bold" if row and row[0] == "per ml" else None for row in rows]
-    tell_table(("ink", *headings, "single\nscatt. σt"), rows, left=(), styles=styles)
+        per_ml = _rows("per ml", found["ink_per_ml"], sd, found["ink_determined"], "", found.get("truth_per_ml"))
+        rows += [(), *per_ml]
+    styles = ["bold" if row and row[0] == "per ml" else "dim" if row and row[0] == TRUTH else None for row in rows]
+    tell_table(("ink", "σs, 1/mm", "g", "σa, 1/mm", "single\nscatt. σt"), rows, left=(1, 2, 3), styles=styles)
     console = Console()
     console.print(
         "each ± is one standard deviation; an interval of 95 % is twice as wide to either side", highlight=False
@@ -102,16 +101,20 @@ def _unsure(row: dict[str, Any]) -> bool:
     return any(not row["determined"].get(name, True) for name in NAMES)
 
 
-def _cells(
-    found: dict[str, float], sd: dict[str, float], truth: dict[str, float] | None, determined: dict[str, bool]
-) -> Iterator[str]:
-    for name in SHOWN:
-        mark = "" if determined.get(name, True) else "?"
-        by = 1.0 if name == "g" else 1000.0
-        digits = max(0, 1 - math.floor(math.log10(by * sd[name]))) if sd[name] > 0.0 else 4
-        yield f"{by * found[name]:.{digits}f}±{by * sd[name]:.{digits}f}{mark}"
-        if truth:
-            yield f"{by * truth[name]:.3f}"
+def _rows(
+    head: str, found: dict[str, float], sd: dict[str, float], determined: dict[str, bool], single: str,
+    truth: dict[str, float] | None,
+) -> Iterator[tuple[str, ...]]:  # fmt: skip
+    """A row of what was found, to two digits of its standard deviation, and one of the truth where it is known."""
+    digits = {name: max(0, 1 - math.floor(math.log10(sd[name]))) if sd[name] > 0.0 else 6 for name in SHOWN}
+    marks = {name: "" if determined.get(name, True) else "?" for name in SHOWN}
+    yield (
+        head,
+        *(f"{found[one]:.{digits[one]}f}±{sd[one]:.{digits[one]}f}{marks[one]}" for one in SHOWN),
+        single,
+    )
+    if truth:
+        yield (TRUTH, *(f"{truth[name]:.4g}" for name in SHOWN), "")
 
 
 def _named(medium: "Medium") -> dict[str, float]:

@@ -40,8 +40,6 @@ class LabelLine(click.ParamType[Any]):
         return key, (found[0], found[1] if len(found) == 2 else None)
 
 
-WITHOUT_WAVELENGTH = "{name}: its optics depend on the wavelength; give --wavelength in nm, such as 633"
-
 wavelength_option = click.option(
     "--wavelength",
     "wavelength_nm",
@@ -71,9 +69,16 @@ def optics_of(
     from tankrig.materials.library import material
 
     found = material(name).labelled(dict(label))
+    return optics(found, _wavelength_of(found, wavelength_nm), band_nm)
+
+
+def _wavelength_of(found: "Material", wavelength_nm: float | None) -> float:
+    """That was asked for; one that the library does not know, or none, is refused with those that it knows."""
     if wavelength_nm is None:
-        raise SceneError(WITHOUT_WAVELENGTH.format(name=found.name))
-    return optics(found, wavelength_nm, band_nm)
+        among = "" if found.range_nm is None else " from {:g} to {:g} nm".format(*found.range_nm)
+        raise SceneError(f"{found.name}: its optics depend on the wavelength; give --wavelength{among}")
+    found.require_known_at(wavelength_nm)
+    return wavelength_nm
 
 
 @click.group(
@@ -105,7 +110,7 @@ def _list(as_json: bool) -> None:
     for one in rows:
         table.add_row(one.name, _span(one.range_nm), one.note)
     Console().print(table)
-    click.echo("\none of them, with sources: tankrig materials show NAME --wavelength 633")
+    click.echo("\none of them, with sources, at a wavelength in nm: tankrig materials show NAME --wavelength NM")
 
 
 def _span(range_nm: tuple[float, float] | None) -> str:
@@ -170,7 +175,8 @@ def _tell_numbers(optics: "Optics") -> None:
     for key, (symbol, unit) in NUMBERS.items():
         one = getattr(optics, key)
         parts = _parts(one)
-        click.echo(f"{symbol:<11} {one.value:.4g}" + (f" ± {one.sd:.2g}{unit}   ({parts})" if parts else unit))
+        value = one.value if unit else round(one.value, 6) + 0.0  # the mean cosine of what scatters evenly is 0
+        click.echo(f"{symbol:<11} {value:.4g}" + (f" ± {one.sd:.2g}{unit}   ({parts})" if parts else unit))
     if optics.medium.sigma_a:
         click.echo(f"σa          {optics.medium.sigma_a:.3g}/mm")
 
@@ -199,15 +205,15 @@ def _tell_sources(found: "Material") -> None:
 
 def _tell_incomplete(found: "Material", wavelength_nm: float | None, as_json: bool) -> None:
     """Of a liquid of which only σs(1−g) is published, or nothing."""
-    if found.reduced is not None and wavelength_nm is None:
-        raise SceneError(WITHOUT_WAVELENGTH.format(name=found.name))
-    reduced = None if found.reduced is None or wavelength_nm is None else found.reduced.at(wavelength_nm)
+    at_nm = wavelength_nm if found.reduced is None else _wavelength_of(found, wavelength_nm)
+    reduced = None if found.reduced is None or at_nm is None else found.reduced.at(at_nm)
     if as_json:
-        click.echo(json.dumps({"name": found.name, "wavelength_nm": wavelength_nm, "reduced": reduced,
+        click.echo(json.dumps({"name": found.name, "wavelength_nm": at_nm, "reduced": reduced,
                                "note": found.note, "sources": found.sources}, ensure_ascii=False))  # fmt: skip
         return
-    if found.reduced is not None and wavelength_nm is not None:
-        click.echo(f"σs(1−g)     {reduced:.4g} ± {found.reduced.uncertainty(wavelength_nm):.2g}/mm")
+    if found.reduced is not None and at_nm is not None:
+        click.echo(f"{found.title} at {at_nm:g} nm, undiluted\n")
+        click.echo(f"σs(1−g)     {reduced:.4g} ± {found.reduced.uncertainty(at_nm):.2g}/mm\n")
     _tell_sources(found)
 
 

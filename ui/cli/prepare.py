@@ -151,6 +151,7 @@ def _for_a_run(sequence_file: Path, rig: Path, learned: bool, as_json: bool) -> 
         for box in boxes:
             _learn(scenes, box, tolerance_for(scenes[0], box))
     notes = list(filter(None, dict.fromkeys(unlike_learned(*one, phases or "hg") for one in wanted)))
+    notes += sequence.cut_off(bench.wall, bench.tank)
     with _progress() as bar:
         task = bar.add_task("preparing", total=float(len(wanted)))
         for done, (scene, box) in enumerate(wanted):

@@ -84,10 +84,11 @@ def run(
         if phase is not None:
             sequence = replace(sequence, phase=phase)
         plan = planned(sequence, description, path, fit)
+        notes = tell_what_is_cut_off(sequence, description)
         if dry_run:
             if rig is None:
                 click.echo("no rig is configured, so this is the simulated rig", err=True)
-            _tell_plan(plan, as_json)
+            _tell_plan(plan, notes, as_json)
             return 0
     runner = open_runner(sequence, path, description, delivered_ul)
     if not fit and any(step.at_most for step in runner.plan.dry_run.steps):
@@ -145,7 +146,18 @@ def planned(sequence: "Sequence", description: "RigFile", run_folder: Path | Non
     return dry_run(sequence, description.limits, description.pace, frame_bytes, tank, exposure=rule)
 
 
-def _tell_plan(plan: "DryRun", as_json: bool) -> None:
+def tell_what_is_cut_off(sequence: "Sequence", description: "RigFile") -> tuple[str, ...]:
+    """Say what light a sequence asks for that misses the tank: it is recorded and fitted without it."""
+    from drivers.rig import calibrated_bench
+
+    bench = calibrated_bench(description)
+    notes = sequence.cut_off(bench.wall, bench.tank)
+    for note in notes:
+        click.echo(f"note: {note}", err=True)
+    return notes
+
+
+def _tell_plan(plan: "DryRun", notes: tuple[str, ...], as_json: bool) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -157,7 +169,8 @@ def _tell_plan(plan: "DryRun", as_json: bool) -> None:
              "at_most": step.at_most}
             for step in plan.steps
         ]  # fmt: skip
-        click.echo(json.dumps({**totals, "at_most": plan.at_most, "steps": steps}))
+        told = {**totals, "at_most": plan.at_most, "steps": steps, "notes": notes}
+        click.echo(json.dumps(told, ensure_ascii=False))
         return
     table = Table("step", "time", "ink", "frames", box=None, show_footer=False)
     for step in plan.steps[:_SHOWN]:

@@ -139,6 +139,7 @@ _Source = tuple["Bench", "Pattern", Mapping[str, "Calibration"], str]
 def _of_rig(rig: Path | None, pattern_name: str, sequence_file: Path | None) -> _Source:
     from drivers.rig import SIMULATED, calibrated_bench, load_rig_file
     from tankrig.calibration.file import in_force
+    from tankrig.errors import SequenceError
     from tankrig.sequence import Capture, Sequence, load_sequence
 
     if rig is None:
@@ -146,7 +147,14 @@ def _of_rig(rig: Path | None, pattern_name: str, sequence_file: Path | None) -> 
     description = load_rig_file(rig) if rig else load_rig_file(SIMULATED, beside=Path().absolute())
     bench = calibrated_bench(description)
     patterns = load_sequence(sequence_file).patterns if sequence_file else {}
-    drawn = Sequence("scene", (Capture(pattern_name),), patterns).drawn(bench.wall)
+    try:
+        shown = Sequence("scene", (Capture(pattern_name),), patterns, source=str(sequence_file or ""))
+    except SequenceError as error:
+        said = str(error).removeprefix(f"capture {pattern_name}: ")  # a step that nobody has written
+        raise SequenceError(f"{sequence_file}: {said}" if sequence_file else said) from error
+    drawn = shown.drawn(bench.wall)
+    for note in shown.cut_off(bench.wall, bench.tank):
+        click.echo(f"note: {note}", err=True)
     found = in_force(Path(description.calibration_folder), description.calibration)
     return bench, drawn[pattern_name], found, f"rig {description.name}"
 

@@ -120,6 +120,7 @@ def _sequence(description: "RigFile", sequence_file: Path | None) -> Iterator[St
     if sequence_file is None:
         yield Step(what, None, "which one was not said", f"{run} --dry-run")
     else:
+        from drivers.rig import calibrated_bench
         from tankrig.sequence import load_sequence
         from ui.cli.run import planned
 
@@ -130,6 +131,8 @@ def _sequence(description: "RigFile", sequence_file: Path | None) -> Iterator[St
             yield Step(what, False, *_parted(error))
         else:
             told = f"{plan.frames} frames, {plan.ink_ul:g} µl of ink, {plan.seconds:.0f} s"
+            bench = calibrated_bench(description)
+            told = "; ".join([told, *sequence.cut_off(bench.wall, bench.tank)])
             yield Step(what, True, told, f"{run} --dry-run")
             yield _models(description, sequence, sequence_file)
     yield Step("the run is fitted", None, "it fits itself while it goes on, and ends with a report", run)

@@ -5,10 +5,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from tankrig.calibration.how_well import how_well
 from tankrig.calibration.places import measured_places
 from tankrig.errors import StoreError, TankrigError
 from tankrig.live.formatting import with_error
 from ui.window.result import CONFIDENCE, Z
+from ui.window.words import calibrated
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
@@ -19,8 +21,6 @@ BELIEVED = "taken from the rig file; not measured by tankrig"
 NOT_YET = "not yet", "the tab Measure leads through it"
 MEASURED_INSTEAD = ("light", "projector to wall", "camera")
 """What the rig file says of these is not used once camera, tank and projector have been measured."""
-
-_UNITS = {"percent": "%", "px": "px", "mm": "mm", "ms": "ms", "deg": "°"}
 
 
 class Known(NamedTuple):
@@ -91,41 +91,27 @@ def _measured(rig: "RigFile") -> Iterator[Known]:
     try:
         found = usable(place, rig.calibration)
         for over in passed_over(place, rig.calibration):
-            yield Known(f"{over.kind}, measured", "no run before a person decides", str(over))
+            yield Known(f"{calibrated(over.kind)}, measured", "no run before a person decides", str(over))
     except TankrigError as error:
         yield Known("calibration", "the one that the rig file names is not there", str(error))
         found = {}
     for kind, doubtful in set_aside(rig).items():
         when = f"{doubtful.date[:16].replace('T', ' ')} UTC ({_age(doubtful.age_days)})"
         note = f"{when}, {doubtful.path and doubtful.path.name}; not used"
-        yield Known(f"{kind}, set aside", _well(doubtful), note, doubtful.path)
+        yield Known(f"{calibrated(kind)}, set aside", _well(doubtful), note, doubtful.path)
     for kind in KINDS:
         if kind not in found:
             why = why_none(kind, rig)
             missing = ("not needed", why) if why else NOT_YET
-            yield Known(f"{kind}, measured", *missing)
+            yield Known(f"{calibrated(kind)}, measured", *missing)
             continue
         one = found[kind]
         when = f"{one.date[:16].replace('T', ' ')} UTC ({_age(one.age_days)}), {one.path and one.path.name}"
-        yield Known(f"{kind}, measured", _well(one), f"{when}; of {one.device}")
+        yield Known(f"{calibrated(kind)}, measured", _well(one), f"{when}; of {one.device}")
 
 
 def _well(one: "Calibration") -> str:
-    figures = ", ".join(_figure(name, value) for name, value in one.how_well.items())
-    doubts = "".join(f"; doubt: {doubt}" for doubt in one.doubts)
-    return figures + doubts
-
-
-def _figure(name: str, value: float) -> str:
-    """With the unit that the name ends in.
-
-    >>> _figure("linearity_error_percent", 0.1234), _figure("views", 15.0)
-    ('linearity error 0.12 %', 'views 15')
-    """
-    what, _, unit = name.rpartition("_")
-    if unit not in _UNITS:
-        return f"{name.replace('_', ' ')} {value:.3g}"
-    return f"{what.replace('_', ' ')} {value:.2g} {_UNITS[unit]}"
+    return how_well(one.kind, one.how_well) + "".join(f"; doubt: {doubt}" for doubt in one.doubts)
 
 
 def _age(days: float) -> str:

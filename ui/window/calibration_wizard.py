@@ -30,6 +30,7 @@ from ui.window.fields import CheckedField, NumberField, number, numbers
 from ui.window.rig_file import RigSource
 from ui.window.status import RigState, RigStatus
 from ui.window.theme import set_role
+from ui.window.words import calibrated
 
 if TYPE_CHECKING:
     from tankrig.calibration.file import Calibration
@@ -231,7 +232,7 @@ class CalibrationWizard(QWidget):
             if step is None:
                 continue
             sign = "✓" if step.done else "→" if missing[:1] == [wizard.kind] else " "
-            item.setText(f"{row + 1}  {sign}  {wizard.kind.capitalize()}: {step.finding}")
+            item.setText(f"{row + 1}  {sign}  {calibrated(wizard.kind).capitalize()}: {step.finding}")
             item.setToolTip(f"{wizard.title}: {step.finding}")
         if missing and not self._chosen_by_person and not self.at_work and self._aside is None:
             self.choose(missing[0])

@@ -15,17 +15,24 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tankrig.dosing.limits import too_much_already
 from ui.window.fields import SURE_MS, CheckedField, NumberField, number, with_name
 from ui.window.flow import Flow
-from ui.window.fresh_water import BUTTON
+from ui.window.fresh_water import BUTTON, said_here
 from ui.window.pump_rate import PumpRate, pump_rate
 from ui.window.status import RigState, RigStatus
-from ui.window.words import volume
+from ui.window.words import capitalised, volume
 
 if TYPE_CHECKING:
     from drivers.rig import RigFile
 
 EMPTY = "What the tank holds, and what its budgets leave, will stand here once the rig is open."
+DOSE = "dose until the tank holds this much in all"
+PRIME = "fill the tube; the tank holds what it held, and the ledger says so"
+SET_RATE = "open the rig again with this rate; runs that begin in this window have it, too"
+"""What buttons do."""
+FIXED = "the pump's own firmware, or its driver, sets how fast it delivers"
+HANG_IT = "hang the tube in a waste vessel, and tick that it does"
 MOST_UL = 1e6
 """Of any tank, while the rig is not known."""
 UNKNOWN = (
@@ -58,7 +65,7 @@ class DoserPage(QWidget):
         super().__init__()
         self._rig: RigFile | None = None
         self._pump: PumpRate | None = None
-        self._sure = self._free = False
+        self._sure, self._status = False, RigStatus()
         self._held, self._concentration = QLabel("–"), QLabel(EMPTY)
         self._concentration.setWordWrap(True)
         self._held.setProperty("role", "big")
@@ -83,7 +90,7 @@ class DoserPage(QWidget):
         self._pump = pump_rate(rig.doser)
         if self._pump is None:
             self._rate.set_text("")
-            self._rate_says.setText("The pump's own firmware, or its driver, sets how fast it delivers.")
+            self._rate_says.setText(f"{capitalised(FIXED)}.")
         else:
             self._rate.set_text(f"{self._pump.ul_per_s:.6g}")
             self._rate_says.setText(f"{self._pump.span}; the rig file's own rate comes back with the next window.")
@@ -96,8 +103,9 @@ class DoserPage(QWidget):
         self._give_up.setVisible(status.state is RigState.ASKING)
         idle = status.state is RigState.IDLE and not status.dosing
         self._stopped.setVisible(status.stopped and idle and status.undecided is None)
-        free = idle and not status.stopped and status.undecided is None
-        self._free = free
+        self._status = status
+        for field in (self._target, self._volume):
+            field.look_again()  # what is allowed follows what the tank holds
         self._able()
         self._refill.setEnabled(status.state in (RigState.IDLE, RigState.FAILED) and not status.dosing)
         if self._rig is None or status.tank is None or status.remaining is None:
@@ -154,20 +162,38 @@ class DoserPage(QWidget):
             self.aside_asked.emit(float(value))
 
     def _able(self) -> None:
-        """What is free to be asked for, with what stands in the fields."""
-        self._dose.setEnabled(self._free and (not self._target.edit.text() or not self._target.wrong))
-        self._rate.setEnabled(self._free and self._pump is not None)
-        self._set_rate.setEnabled(self._free and self._pump is not None and self._rate.value is not None)
-        self._prime.setEnabled(self._free and self._hangs.isChecked() and self._volume.value is not None)
+        """What is free to be asked for, with what stands in the fields; what is not says why as its tooltip."""
+        wait, fixed = self._status.no_dose, self._pump is None
+        self._rate.setEnabled(not wait and not fixed)
+        _allow(self._dose, DOSE, wait or (self._target.wrong if self._target.edit.text() else ""))
+        _allow(self._set_rate, SET_RATE, wait or (FIXED if fixed else self._rate.wrong))
+        _allow(self._prime, PRIME, wait or self._volume.wrong or ("" if self._hangs.isChecked() else HANG_IT))
 
     def _read_target(self, text: str) -> tuple[float | None, str]:
         """What the tank of this rig may hold."""
         most_ul = self._rig.limits.tank_ul if self._rig is not None else MOST_UL
         value = number(text)
         if value is not None and 0.0 <= value <= most_ul:
-            return value, ""
+            refusal = self._refusal(value)
+            return (None, refusal) if refusal else (value, "")
         given = f"the tank may not hold {text}" if text.strip() else "say how much the tank shall hold"
         return None, f"{given}; give 0 to {most_ul:g} µl in all"
+
+    def _refusal(self, total_ul: float) -> str:
+        """Why the doser would refuse to dose until the tank holds so much, now; empty where it would not."""
+        rig, status = self._rig, self._status
+        if rig is None or status.tank is None or status.no_dose:
+            return ""
+        more = too_much_already(total_ul, status.tank, status.increment_ul)
+        return said_here(more or rig.limits.refusal(total_ul, status.tank, status.used_ul) or "")
+
+    def _read_volume(self, text: str) -> tuple[float | None, str]:
+        """What may go beside the tank at once."""
+        value = number(text)
+        if value is None:
+            return None, f"{text or 'nothing'} is no volume; give a number of µl"
+        refusal = self._rig.limits.refusal_aside(value) if self._rig is not None else None
+        return (None, refusal) if refusal else (value, "")
 
     def _read_rate(self, text: str) -> tuple[float | None, str]:
         """A rate that the pump of this rig takes."""
@@ -235,7 +261,6 @@ class DoserPage(QWidget):
         self._target.edit.setMaximumWidth(110)
         self._target.edit.setPlaceholderText("total")
         self._dose = QPushButton("Dose")
-        self._dose.setToolTip("dose until the tank holds this much in all")
         self._dose.clicked.connect(self._ask_dose)
         self._target.edit.returnPressed.connect(self._dose.click)
         name = QLabel("Dose until the tank holds")
@@ -249,12 +274,13 @@ class DoserPage(QWidget):
     def _prime_card(self) -> QFrame:
         card, row = QFrame(), Flow()
         card.setObjectName("card")
-        self._volume = NumberField("µl", 0.1, MOST_UL, "ink for the waste vessel, no more than one dose may have")
+        self._volume = CheckedField(self._read_volume, "µl", "ink for the waste vessel, no more than one dose may have")
         self._volume.edit.setObjectName("prime-volume")
-        self._volume.set_value(50.0)
+        self._volume.edit.setMinimumWidth(64)
+        self._volume.edit.setMaximumWidth(110)
+        self._volume.set_text("50")
         self._hangs, self._prime = QCheckBox("the tube hangs in a waste vessel"), QPushButton("Prime")
         self._hangs.setToolTip("what is delivered then is not counted as in the tank")
-        self._prime.setToolTip("fill the tube; the tank holds what it held, and the ledger says so")
         self._volume.changed.connect(self._able)
         self._target.changed.connect(self._able)
         self._hangs.toggled.connect(lambda _: self._able())
@@ -272,7 +298,6 @@ class DoserPage(QWidget):
         self._rate.edit.setObjectName("pump-rate")
         self._rate.edit.setMaximumWidth(110)
         self._set_rate, self._rate_says = QPushButton("Set the rate"), QLabel()
-        self._set_rate.setToolTip("open the rig again with this rate; runs that begin in this window have it, too")
         self._rate_says.setProperty("role", "faint")
         self._rate_says.setWordWrap(True)
         self._rate.changed.connect(self._able)
@@ -336,6 +361,12 @@ class DoserPage(QWidget):
         row.addStretch(1)
         row.addWidget(self._refill)
         return row
+
+
+def _allow(button: QPushButton, does: str, refusal: str) -> None:
+    """Have a button pressed only while nothing refuses it; its tooltip says what it does, or why not now."""
+    button.setEnabled(not refusal)
+    button.setToolTip(refusal or does)
 
 
 def _product(sides: tuple[float, float, float]) -> float:

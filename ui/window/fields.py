@@ -110,6 +110,11 @@ class CheckedField(QWidget):
             self.edit.setText(text)
         self._mark()
 
+    def look_again(self) -> None:
+        """What is allowed has changed: check what stands there once more; an empty field is not blamed."""
+        if self.edit.text():
+            self._mark()
+
     def say_wrong(self) -> None:
         """Say what is wrong with it although nobody has typed: a button was pressed that needs its value."""
         self._mark()

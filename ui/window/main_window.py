@@ -313,8 +313,8 @@ class MainWindow(QMainWindow):
         if new:
             for page in (self.sequence.document, self.doser, self.projector):
                 page.set_rig(rig)
-            for editor in (self.sequence.patterns, self.sequence.steps):
-                editor.set_wall(rig.bench.wall)
+            self.sequence.patterns.set_bench(rig.bench)
+            self.sequence.steps.set_wall(rig.bench.wall)
         if not self._offered:
             self._offered = True
             run = self.runs.latest_interrupted(rig.name)

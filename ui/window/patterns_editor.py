@@ -16,6 +16,7 @@ from PySide6.QtWidgets import (
 )
 
 from tankrig.errors import SequenceError
+from tankrig.pattern.cut_off import cut_off
 from tankrig.pattern.kinds import KINDS, Cells, draw
 from ui.window.flow import Flow
 from ui.window.forms import Form, label_of
@@ -25,7 +26,7 @@ from ui.window.sequence_tables import pattern_table, patterns_in
 from ui.window.sequence_text import patterns_of
 
 if TYPE_CHECKING:
-    from tankrig.pattern.wall import Wall
+    from tankrig.bench import Bench
 
 BY_KIND: dict[str, type[Any]] = {str(kind.kind): kind for kind in KINDS}
 NEW: dict[str, dict[str, Any]] = {
@@ -56,7 +57,7 @@ class PatternsEditor(QWidget):
     def __init__(self, document: SequenceDocument) -> None:
         super().__init__()
         self._document, self._own = document, False
-        self._wall: Wall | None = None
+        self._bench: Bench | None = None
         self.names = QListWidget()
         self.names.setAccessibleName("patterns")
         self.names.currentTextChanged.connect(lambda _: self._show_form())
@@ -75,14 +76,16 @@ class PatternsEditor(QWidget):
         self._form_area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._form_area.setFrameShape(QScrollArea.Shape.NoFrame)
         self._preview = PatternPreview()
-        self._wrong = QLabel()
+        self._wrong, self._note = QLabel(), QLabel()
         self._wrong.setProperty("role", "wrong")
-        self._wrong.setWordWrap(True)
+        for label in (self._wrong, self._note):
+            label.setWordWrap(True)
         right = QWidget()
         column = QVBoxLayout(right)
         column.setContentsMargins(8, 0, 0, 0)
         column.addWidget(self._form_area, 1)
         column.addWidget(self._wrong)
+        column.addWidget(self._note)
         column.addWidget(self._preview.widget, 1)
         split = QSplitter(Qt.Orientation.Horizontal)
         split.addWidget(self.names)
@@ -96,9 +99,9 @@ class PatternsEditor(QWidget):
         document.changed.connect(self._refresh)
         self._refresh()
 
-    def set_wall(self, wall: "Wall") -> None:
-        """Say where the projector's pixels fall."""
-        self._wall = wall
+    def set_bench(self, bench: "Bench") -> None:
+        """Say where the projector's pixels fall, and where the tank's wall ends."""
+        self._bench = bench
         self._draw()
 
     def _tables(self) -> dict[str, Any]:
@@ -143,18 +146,21 @@ class PatternsEditor(QWidget):
     def _draw(self) -> None:
         chosen = self._chosen()
         self._wrong.clear()
-        if self._wall is None:
+        self._note.clear()
+        if self._bench is None:
             return
-        pattern = None
+        pattern, wall = None, self._bench.wall
         if chosen is not None and (kind := BY_KIND.get(str(chosen[1].get("kind")))):
             try:
                 values = {key: tuple(v) if isinstance(v, list) else v for key, v in chosen[1].items()}
                 if "path" in values:
                     values["path"] = str(self._document.folder / str(values["path"]))
-                pattern = draw(kind(**values), self._wall, chosen[0])
+                described = kind(**values)
+                pattern = draw(described, wall, chosen[0])
+                self._note.setText("\n".join(cut_off(described, wall, self._bench.tank)))
             except (SequenceError, TypeError, ValueError) as error:
                 self._wrong.setText(str(error))
-        self._preview.show(pattern, self._wall)
+        self._preview.show(pattern, wall)
 
     def _edit(self, name: str, value: Any) -> None:
         chosen = self._chosen()

@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
 
 from tankrig.errors import SequenceError
 from tankrig.pattern import Pattern
+from tankrig.pattern.cut_off import cut_off
 from tankrig.pattern.kinds import draw
 from ui.window.forms import Form
 from ui.window.pattern_preview import PatternPreview
@@ -46,9 +47,9 @@ class ProjectorPage(QWidget):
         self._cards: list[QLabel] = []
         self._output, self._draft = PatternPreview(150), PatternPreview(150)
         self._now = QLabel("nothing has been shown yet")
-        self._wrong = QLabel()
+        self._wrong, self._note = QLabel(), QLabel()
         self._wrong.setProperty("role", "wrong")
-        for label in (self._now, self._wrong):
+        for label in (self._now, self._wrong, self._note):
             label.setWordWrap(True)
         self._kind = QComboBox()
         self._kind.addItems(list(NEW))
@@ -109,11 +110,14 @@ class ProjectorPage(QWidget):
         """What the form describes, dimmed; None, and the reason on the page, where that cannot be drawn."""
         kind = self._kind.currentText()
         self._wrong.clear()
+        self._note.clear()
         if self._rig is None:
             return None
         try:
             values = {name: tuple(v) if isinstance(v, list) else v for name, v in self._values[kind].items()}
-            drawn = draw(BY_KIND[kind](**values), self._rig.bench.wall)
+            described, bench = BY_KIND[kind](**values), self._rig.bench
+            drawn = draw(described, bench.wall)
+            self._note.setText("\n".join(cut_off(described, bench.wall, bench.tank)))
         except (SequenceError, TypeError, ValueError) as error:
             self._wrong.setText(str(error))
             return None
@@ -211,6 +215,7 @@ class ProjectorPage(QWidget):
         left.addWidget(self._form_area, 1)
         left.addLayout(bright)
         left.addWidget(self._wrong)
+        left.addWidget(self._note)
         left.addLayout(buttons)
         right.addWidget(self._now)
         right.addWidget(self._output.widget, 1)

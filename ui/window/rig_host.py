@@ -452,6 +452,7 @@ class RigHost(QObject):
             with suppress(DeviceError, AttributeError):  # a device that is gone is told of by whoever works with it
                 status = replace(
                     status, tank=guard.delivered(), remaining=guard.remaining(), stopped=guard.stopped,
+                    used_ul=guard.used_ul, increment_ul=guard.increment_ul,
                     undecided=self._question or (None if self._dosing() else guard.undecided),
                 )  # fmt: skip
         if runner is not None:

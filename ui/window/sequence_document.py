@@ -88,6 +88,14 @@ class SequenceDocument(QObject):
         return None if self._doubts else self._plan
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know of a sequence that can be run: which of its light misses the tank."""
+        sequence = self.reading.sequence
+        if sequence is None or self._rig is None or self.plan is None:
+            return ()
+        return sequence.cut_off(self._rig.bench.wall, self._rig.bench.tank)
+
+    @property
     def empty(self) -> bool:
         """Whether nobody has begun to write a sequence."""
         return self.path is None and self.text == EMPTY and not self.undo.canUndo()
@@ -229,7 +237,7 @@ class SequenceDocument(QObject):
             self.reading.sequence.drawn(self._rig.bench.wall)
         except SequenceError as error:
             self._text_sequence = None
-            self._refuse(str(error).removeprefix(f"{self.reading.sequence.name}: "))
+            self._refuse(str(error).removeprefix(f"{self.reading.sequence.called}: "))
         else:
             self._check(self.reading.sequence)
 
@@ -244,7 +252,7 @@ class SequenceDocument(QObject):
             self._plan = dry_run(sequence, rig.limits, rig.pace, frame_bytes, self._tank, exposure=rule)
             self.reading = replace(self.reading, sequence=sequence, problem=None)
         except SequenceError as error:
-            self._refuse(str(error).removeprefix(f"{sequence.name}: "))
+            self._refuse(str(error).removeprefix(f"{sequence.called}: "))
 
     def _refuse(self, sentence: str) -> None:
         problem = Problem(said_here(sentence), sequence_text.line_of(self.text, sentence))

@@ -33,7 +33,7 @@ from ui.window.source_frame import SourceFrame
 from ui.window.status import RigStatus
 from ui.window.steps_editor import StepsEditor
 from ui.window.theme import set_role
-from ui.window.words import duration, size, volume
+from ui.window.words import capitalised, duration, size, volume
 
 if TYPE_CHECKING:
     from ui.window.jobs import Suggestion
@@ -85,9 +85,10 @@ class SequencePage(QWidget):
             ("Run", self.run_frame),
         ):  # fmt: skip
             self.tabs.addTab(widget, title)
-        self._title, self._says = QLabel(), QLabel()
+        self._title, self._says, self._notes = QLabel(), QLabel(), QLabel()
         self._title.setProperty("role", "heading")
         self._says.setWordWrap(True)
+        self._notes.setWordWrap(True)
         self._water = QPushButton(WAY)
         self._water.setToolTip(f"where “{BUTTON}” begins a new ledger for the tank")
         self._water.clicked.connect(self.water_asked)
@@ -101,6 +102,7 @@ class SequencePage(QWidget):
         take_rest(self.tabs, 230)
         column.addWidget(self.tabs, 1)
         column.addWidget(self._says)
+        column.addWidget(self._notes)
         column.addWidget(self._water, 0, Qt.AlignmentFlag.AlignLeft)
         column.addLayout(self._foot())
         self.document.changed.connect(self._refresh)
@@ -306,6 +308,9 @@ class SequencePage(QWidget):
             self._says.setText(
                 f"Takes {self._totals()}." if plan else "Waiting for the rig, to check against its limits."
             )
+        notes = () if self.beginning else self.document.notes
+        self._notes.setText("\n".join(f"{capitalised(note)}." for note in notes))
+        self._notes.setVisible(bool(notes))
         self._water.setVisible(problem is not None and asks_for_it(problem.sentence))
         self._run.setEnabled(plan is not None and not self._busy)
 

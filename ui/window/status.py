@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from tankrig.devices import Delivered
-from tankrig.dosing.limits import Remaining
+from tankrig.dosing.limits import DOSING, STOPPED, Remaining
 from tankrig.run.progress import Progress
 from tankrig.run.state import RunState
 
@@ -52,6 +52,10 @@ class RigStatus:
         Of what is being delivered beside the tank.
     exposing_left_s
         Of a long exposure under way.
+    used_ul
+        Ink that doses by hand, or the run, have put into the tank, at most, µl.
+    increment_ul
+        Smallest volume that the doser doses, µl.
     """
 
     state: RigState = RigState.OPENING
@@ -67,6 +71,8 @@ class RigStatus:
     preparation: str = ""
     aside_ul: float | None = None
     exposing_left_s: float | None = None
+    used_ul: float = 0.0
+    increment_ul: float = 0.0
 
     @property
     def running(self) -> bool:
@@ -87,6 +93,17 @@ class RigStatus:
     def dosing(self) -> bool:
         """Whether the pump moves because a person has asked for it by hand."""
         return self.target_ul is not None or self.aside_ul is not None
+
+    @property
+    def no_dose(self) -> str:
+        """Why nothing can be dosed by hand now, in the words in which the doser would refuse it; empty where it can."""
+        if self.undecided is not None:
+            return "it is not known how much ink the tank holds; say it first"
+        if self.dosing:
+            return DOSING
+        if self.state is not RigState.IDLE:
+            return f"{self.state.value}; doses by hand have to wait"
+        return STOPPED if self.stopped else ""
 
     @property
     def over_the_picture(self) -> str:

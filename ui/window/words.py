@@ -29,6 +29,15 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
+def calibrated(kind: str) -> str:
+    """What a kind of calibration is called.
+
+    >>> calibrated("stray"), calibrated("camera")
+    ('stray light', 'camera')
+    """
+    return "stray light" if kind == "stray" else kind
+
+
 def volume(volume_ul: float) -> str:
     """A volume of ink.
 
