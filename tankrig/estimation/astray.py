@@ -117,7 +117,7 @@ def panes(scene: Scene, _: Image) -> Array:
 def black_level(scene: Scene, _: Image) -> Array:
     """Light all over the wall, per W/mm²."""
     width, height = scene.tank.size_mm[1:]
-    return _lit_by(scene, (Beam((-0.5 * width, 0.5 * width), (0.0, height)),))
+    return _lit_by(scene, (Beam((-0.5 * width, 0.5 * width), (0.0, height)),), smooth=True)
 
 
 def projector_halo(scene: Scene, _: Image) -> Array:
@@ -161,10 +161,16 @@ def pane_mm(scene: Scene) -> float:
 
 
 @lru_cache(maxsize=KEPT)
-def _lit_by(scene: Scene, beams: tuple[Beam, ...]) -> Array:
+def _lit_by(scene: Scene, beams: tuple[Beam, ...], smooth: bool = False) -> Array:
+    """The image of other beams than a scene's; `smooth` where none of them has an edge inside the tank."""
+    from tankrig.light.rays import shift_invariant
+    from tankrig.light.tangent import BY_PATHS, tank_tangent
     from tankrig.light.tank import tank_image
 
     lit = replace(scene, projector=replace(scene.projector, beams=beams, halo=NO_HALO, black_level=0.0))
+    if smooth and scene.tank.faces.dark and not shift_invariant(scene):
+        # Order 2 of rays all over the wall that slant took 5 to 19 of 6 to 20 CPU s, and paths show it within 3 %.
+        return np.asarray(tank_tangent(lit, BATCHES, tables=BY_PATHS).prediction.image, float)
     return np.asarray(tank_image(lit, ROUGH, batches=BATCHES).image, float)
 
 

@@ -20,7 +20,7 @@ from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import RIVAL, Told, by_cost, densities, first_guess, profiled, search
 from tankrig.estimation.shots import Fit, Shot, rough_problem, weighed_problem
 from tankrig.estimation.stated_errors import COARSE, stated_error
-from tankrig.estimation.versions import image_of
+from tankrig.estimation.versions import image_of, is_noisy
 from tankrig.estimation.with_prepared import WithPrepared
 from tankrig.scene import Medium
 
@@ -195,7 +195,8 @@ def _refined(
     quick = all(shot.models.quick(model) for shot, model in zip(shots, differentiated, strict=True))
     slow = any(shot.models.prepares for shot in shots)
     weighed = weighed_problem(problem, shots, forwards, slopes, seen, near.added)
-    return replace(weighed, quick=quick, slow=slow), versions
+    noisy = any(is_noisy(model) for model in differentiated)
+    return replace(weighed, quick=quick, slow=slow, noisy=noisy), versions
 
 
 def searched(

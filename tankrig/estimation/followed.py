@@ -97,6 +97,8 @@ class Followed:
         Tolerance that order 2 is computed to; None: as accurate images want it.
     water_sigma_s
         What water scatters besides, of media of a family, see `in_water`; their derivatives are those without it.
+    alone
+        Whether images are made without derivatives, which another model gives.
     """
 
     scene: Scene
@@ -110,6 +112,7 @@ class Followed:
     fine: bool = False
     tables: float | None = None
     water_sigma_s: float = 0.0
+    alone: bool = False
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image; of another phase function than Henyey–Greenstein's by itself."""
@@ -216,7 +219,8 @@ class Followed:
 
     def _direct(self, medium: Medium) -> Prediction:
         """The image without what paths by way of faces bring."""
-        return self._whole(medium).prediction if medium.phase is None else self._alone(medium)
+        whole = medium.phase is None and not self.alone
+        return self._whole(medium).prediction if whole else self._alone(medium)
 
     @cached_property
     def _by_faces(self) -> Callable[[Medium], Image]:

@@ -56,8 +56,9 @@ ALIKE_NOISE, ALIKE_BATCHES = 0.001, 64
 """The same of images for derivatives by a family's coordinates, of which many change an image nearly alike."""
 CHECK_BATCHES = 32
 """Lattices of the image that a prepared model of light or sight that slant is compared with."""
-LOOK_PIXELS, LOOK_BATCHES = 2400, 2
-"""Pixels of the images that the search looks at, or up to four times as many, and small lattices of paths in them."""
+LOOK_PIXELS = 2400
+"""Pixels of the images that the search looks at, or up to four times as many; of so many small lattices of paths as a
+cheap image has large ones."""
 ROUGH_SOURCE = 6
 """Lattices that make the source of the orders that are solved for, on the way there."""
 NEAR_NOISE, NEAR_BATCHES = 0.01, 8
@@ -263,9 +264,7 @@ def _tank_models(scene: Scene, max_order: int | None) -> Models:
     def following(batches: int, seed: int, blur_mm: float = 0.0) -> Model:
         return remembered(lambda medium: tank_along(replace(scene, medium=medium), max_order, batches, seed, blur_mm))
 
-    from tankrig.light.rays import shift_invariant
-
-    fewest = COARSE_BATCHES if shift_invariant(scene) else SMOOTHED_BATCHES
+    fewest = _fewest(scene)
     coarse = following(fewest, 0)
 
     batches = _lattices(coarse, fewest)
@@ -292,10 +291,7 @@ def low_orders_of(scene: Scene, max_order: int | None = None) -> Model | None:
 
 def _followed_models(scene: Scene, max_order: int | None) -> Models:
     """Versions for Henyey–Greenstein's media, whose derivatives come along the paths; families have their own."""
-    from tankrig.light.rays import shift_invariant
-
-    straight = shift_invariant(scene)
-    fewest = COARSE_BATCHES if straight else SMOOTHED_BATCHES
+    fewest = _fewest(scene)
     coarse = Followed(scene, fewest, 0, max_order, small=True)
     slanted = remembered(lambda medium: tank_along(replace(scene, medium=medium), max_order, fewest, 1, 0.0))
 
@@ -310,7 +306,7 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
             low = Followed(scene, SOLVED_BATCHES, 1, plan.above)
             return Solved(low, replace(plan, batches=ROUGH_SOURCE)), Solved(low, plan, parts=2)
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, SLOPE_NOISE, SLOPE_BATCHES)
-        return Followed(scene, fine, 1, max_order), Followed(scene, slope, 2, max_order)
+        return Followed(scene, fine, 1, max_order, alone=True), Followed(scene, slope, 2, max_order)
 
     return Models(
         coarse, refine, exact=_accurate(scene, max_order, batches), look=_look(scene, max_order),
@@ -322,7 +318,14 @@ def _look(scene: Scene, max_order: int | None) -> tuple[int, Followed]:
     """Pixels of a block and the cheap model of such blocks that a search looks at, see `Models.look`."""
     by = max(1, int(math.sqrt(math.prod(scene.camera.shape) / LOOK_PIXELS)))
     binned = replace(scene, camera=scene.camera.binned(by))
-    return by, Followed(binned, LOOK_BATCHES, 0, max_order, small=True, rough=True, tables=COARSE)
+    return by, Followed(binned, _fewest(scene), 0, max_order, small=True, rough=True, tables=COARSE)
+
+
+def _fewest(scene: Scene) -> int:
+    """Lattices of paths of a cheap image of a scene."""
+    from tankrig.light.rays import shift_invariant
+
+    return COARSE_BATCHES if shift_invariant(scene) else SMOOTHED_BATCHES
 
 
 def family_models(
@@ -349,10 +352,9 @@ def family_models(
     """
     from tankrig.light.rays import shift_invariant
 
-    straight = shift_invariant(scene)
-    fewest = COARSE_BATCHES if straight else SMOOTHED_BATCHES
+    fewest = _fewest(scene)
     followed = partial(
-        Followed, scene, max_order=max_order, family=family, tables=None if straight else COARSE,
+        Followed, scene, max_order=max_order, family=family, tables=None if shift_invariant(scene) else COARSE,
         water_sigma_s=water_sigma_s,
     )  # fmt: skip
     coarse = followed(fewest, 0)

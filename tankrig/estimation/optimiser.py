@@ -35,6 +35,9 @@ MOST_REFUSED = 8
 """Steps in a row that may fail with a Jacobian just computed, each ten times shorter: what is left is roughness."""
 NEARLY, NEARLY_REFUSED = 4.0, 2
 """Times what is enough that is nearly enough, and as many failures do then: paths' roughness hides what is promised."""
+SHORTER, NO_BETTER = 0.7, 0.85
+"""Share of the last failed step's length that a step has at most to tell noise from a bend, and of its error, for its
+length, that noise leaves at least."""
 EVENLY_TRIED = 3
 """Steps in a row that are also tried evenly in the coefficients when they fail; shorter ones are the same."""
 
@@ -73,7 +76,7 @@ def solve(
     ...         self.residual, self.jacobian = np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10], [-1, 0]])
     ...         self.cost = 0.5 * self.residual @ self.residual
     >>> wide = np.full(2, 5.0)
-    >>> rest = {"longest_step": wide, "quick": False, "least_damping": 0.0}
+    >>> rest = {"longest_step": wide, "quick": False, "least_damping": 0.0, "noisy": False}
     >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), **rest)
     >>> solve(problem, np.array([-1.2, 1.0]), 1e-9, 200).coordinates.round(3).tolist()
     [1.0, 1.0]
@@ -83,6 +86,7 @@ def solve(
     here = problem.at(np.clip(start, *box))
     jacobian = here.jacobian
     fresh, refused, bend = True, 0, _Bend(np.zeros_like(here.coordinates), np.zeros_like(here.residual))
+    failed: _Failed | None = None
     for _ in range(most_steps):
         at, value = here.coordinates, here.residual
         looks = (_step(value, jacobian, max(least, by), at, box, longest_step) for by in (0.0, DAMPED))
@@ -106,16 +110,45 @@ def solve(
             else:
                 jacobian = jacobian + np.outer(ahead.residual - value - jacobian @ step, step) / float(step @ step)
             bend = bend.after(step, ahead.residual - value - jacobian @ step) if bend.step.any() else bend
-            here, refused, reach = ahead, 0, np.minimum(longest_step, LONGER * reach)
+            here, refused, reach, failed = ahead, 0, np.minimum(longest_step, LONGER * reach), None
             damping = max(damping / 5.0, 1e-6, least)
         elif not fresh:
             jacobian, fresh = here.jacobian, True
-        elif refused == MOST_REFUSED or (refused >= NEARLY_REFUSED and promised < NEARLY * wanted):
-            break
         else:
+            before, failed = failed, _Failed.of(here, ahead, jacobian, step)
+            nearly = refused >= NEARLY_REFUSED and promised < NEARLY * wanted
+            rough = problem.noisy and (failed.promised < wanted or failed.is_no_bend(before))
+            if refused == MOST_REFUSED or nearly or rough:
+                break
             bend = bend.after(step, ahead.residual - value - jacobian @ step)
             damping, refused, reach = max(10.0 * damping, LEAST_DAMPED), refused + 1, reach / LONGER
     return here
+
+
+@dataclass(frozen=True)
+class _Failed:
+    """A step that failed with a Jacobian just computed: how long it was, in standard deviations of the pixels, by how
+    much it promised to lower the cost, and by how much that was wrong."""
+
+    length: float
+    promised: float
+    off: float
+
+    @classmethod
+    def of(cls, here: Evaluation, ahead: Evaluation, jacobian: NDArray[np.float64], step: Vector) -> "_Failed":
+        """As it was."""
+        promised = _promise(here.residual, jacobian, step)
+        return cls(float(np.linalg.norm(jacobian @ step)), promised, ahead.cost - here.cost + promised)
+
+    def is_no_bend(self, before: "_Failed | None") -> bool:
+        """Whether what was wrong has not fallen faster than the step since another one failed, as a bend's error does.
+
+        Then derivatives are off themselves, or noise of neighbours' images is not alike, and shorter steps lead no
+        further down.
+        """
+        if before is None or self.length > SHORTER * before.length:
+            return False
+        return self.off * before.length > NO_BETTER * before.off * self.length
 
 
 @dataclass(frozen=True)

@@ -102,6 +102,8 @@ class Problem:
         Coordinates that those expected to be 0 ± 1 stay close to, and how many times as much as to 0; None: to none.
     slow
         Whether images take so long though they are quick that several at a time are worth it.
+    noisy
+        Whether images and derivatives have the noise of light paths, by which they need not agree.
     """
 
     views: tuple[View, ...]
@@ -111,6 +113,7 @@ class Problem:
     held: tuple[tuple[int, float], ...] = ()
     close: tuple[Array, float] | None = None
     slow: bool = False
+    noisy: bool = False
 
     @property
     def box(self) -> tuple[Array, Array]:

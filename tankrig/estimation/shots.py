@@ -14,7 +14,7 @@ from tankrig.estimation.problem import Evaluation, Problem, View
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.stated_errors import COARSE, counted_error
 from tankrig.estimation.uncertainty import PATTERN, SmoothError
-from tankrig.estimation.versions import Exact, Models, image_of
+from tankrig.estimation.versions import Exact, Models, image_of, is_noisy
 from tankrig.prediction import Prediction
 from tankrig.scene import Scene
 
@@ -137,7 +137,10 @@ def rough_problem(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Sca
         ambient = float(np.percentile(seen.image[seen.used], 5)) if scaling.offset is None else scaling.offset
         error = share * np.maximum(seen.image - ambient, 0.0)
         views.append(shot.view(image_of(coarse), shot.slopes_of(coarse), error))
-    return Problem(tuple(views), blocks, scaling, quick=all(shot.models.quick(shot.models.coarse) for shot in shots))
+    quick = all(shot.models.quick(shot.models.coarse) for shot in shots)
+    return Problem(
+        tuple(views), blocks, scaling, quick=quick, noisy=any(is_noisy(shot.models.coarse) for shot in shots)
+    )
 
 
 def weighed_problem(

@@ -109,6 +109,11 @@ class Models:
         return self.refine(medium) if self.refine is not None else (self.coarse, self.coarse)
 
 
+def is_noisy(model: Model) -> bool:
+    """Whether its images and derivatives have the noise of light paths."""
+    return isinstance(model, Followed | Solved | WithBeside)
+
+
 def image_of(model: Model) -> Forward:
     """Its image alone."""
     return lambda medium: model(medium).image
