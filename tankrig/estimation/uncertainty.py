@@ -178,7 +178,7 @@ def _smooth_products(grid: Array, *lengths: float) -> Array:
         np.exp(-0.5 * ((np.arange(count)[:, None] - np.arange(count)) / length) ** 2)
         for count, length in zip(grid.shape[1:], lengths, strict=True)
     )
-    products: Array = np.einsum("aij,bij->ab", grid, along_y @ grid @ along_x)
+    products: Array = np.tensordot(grid, along_y @ grid @ along_x, ([1, 2], [1, 2]))
     return products
 
 
