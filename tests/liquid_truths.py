@@ -52,6 +52,11 @@ THREE_BEAMS = tuple(Beam((low, low + 4.0), (58.0, 62.0)) for low in (-42.0, -2.0
 SHEET = (Beam((-60.0, 60.0), (58.0, 62.0)),)
 WITH_SHEET = ("bead-1.0-0.010", "intralipid-0.010")
 """Of these there is an image of a sheet of light besides."""
+SLANTED = (
+    "bead-0.2-0.030", "bead-0.5-0.010", "bead-1.0-0.010", "intralipid-0.010", "intralipid-0.030", "milk-0.020",
+    "petzold-0.010", "two-term-0.020", "reynolds-mccormick-0.020", "fournier-forand-0.020",
+)  # fmt: skip
+"""Of these there are images by two pinholes besides, in a tank that bends no light and through glass and surface."""
 
 
 def spheres(diameters_um: Array, index: float, number: Array) -> Array:
@@ -117,6 +122,21 @@ def liquid_scene(sigma_s: float, light: tuple[Beam, ...]) -> Scene:
     return Scene(Tank(), medium, Projector("collimated", light), Camera("orthographic", (40, 60), 4.0))
 
 
+def with_pinholes(scene: Scene) -> Scene:
+    """The same by two pinholes."""
+    projector = Projector("pinhole", scene.projector.beams, position_mm=(-380.0, 0.0, 60.0))
+    camera = Camera("pinhole", (40, 60), 4.0, position_mm=(120.0, 0.0, 520.0))
+    return replace(scene, projector=projector, camera=camera)
+
+
+def bent(scene: Scene) -> Scene:
+    """The same by two others, through glass and surface."""
+    tank = Tank(surface="fresnel", refractive_index=1.3317, entry="glass", wall_mm=8.0)
+    projector = Projector("pinhole", scene.projector.beams, position_mm=(-450.0, 25.0, 75.0))
+    camera = Camera("pinhole", (40, 60), 4.0, position_mm=(140.0, -20.0, 600.0))
+    return replace(scene, tank=tank, projector=projector, camera=camera)
+
+
 def scenes() -> dict[str, tuple[str, Scene]]:
     """All of them: name, and liquid and scene."""
     found = {}
@@ -126,6 +146,9 @@ def scenes() -> dict[str, tuple[str, Scene]]:
             found[name] = liquid, liquid_scene(sigma_s, THREE_BEAMS)
             if name in WITH_SHEET:
                 found[f"{name}-sheet"] = liquid, liquid_scene(sigma_s, SHEET)
+    slanted = {name: found[name] for name in SLANTED}
+    for name, (liquid, scene) in slanted.items():
+        found |= {f"{name}-pinholes": (liquid, with_pinholes(scene)), f"{name}-bent": (liquid, bent(scene))}
     return found
 
 

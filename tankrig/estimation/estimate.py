@@ -56,7 +56,6 @@ from tankrig.estimation.verdict import (
     what_was_left_out,
 )
 from tankrig.estimation.versions import Models
-from tankrig.light.rays import shift_invariant
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
@@ -76,6 +75,9 @@ was begun from anywhere, and more than any other cause does; and share that such
 tried. An emulsion of σs .05 looked like uneven ink, which explained two thirds."""
 AS_WELL = 1.002
 """Share of what a free phase function leaves that spheres may leave: it follows noise with its seventeen numbers."""
+FOLLOWED = 0.5
+"""Share of the model's own error, squared, that it may follow too: free beads of .5 µm left .7 % less than spheres did,
+which cost less, priors included, and were right."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
 COMMON_FLOOR = 0.04
@@ -127,8 +129,8 @@ def estimate(
         "free" (any smooth one), or "any": all but Fournier and Forand's, weighed by their evidence. A `Mie` is what a
         label says, fitted within its accuracy; any other phase function is taken as it is. "mie" and "table" mean the
         scene's. None: the scene's, to begin from. Where it has none, "hg", and "any" where that leaves structure that
-        another phase function explains better than anything else; with slanting light or sight, where that takes many
-        minutes, the verdict says so instead.
+        another phase function explains better than anything else: one to five CPU minutes where light or sight slants,
+        lenses blur or walls send light back.
     nuisance
         What may be off in the set-up, each with its standard deviation, and is fitted along: "z_mm", "y_mm" (light
         moved up, and along y), "tilt_mrad" (light turned about the vertical, towards +y), "scale" (share by which a
@@ -158,7 +160,7 @@ def estimate(
     if not any(beam.irradiance > 0.0 for beam in scene.projector.beams):
         raise SceneError(f"{scene.source or 'the scene'}: no beam has any irradiance; give the light that was on")
     scaling, asked = Scaling.given(gain, offset), asked_for(phase, scene)
-    if phase is None and asked.family is None and model == "tank" and max_order is None and shift_invariant(scene):
+    if phase is None and asked.family is None and model == "tank" and max_order is None:
         asked = replace(asked, further=asked_for("any", scene))
     off = {name: sd for name, sd in (nuisance or {}).items() if name not in ASTRAY}
     misalignment = Misalignment(scene, off, 1 if model == "single" else max_order) if off else None
@@ -229,10 +231,10 @@ def fit_models(
     fit = without_outliers(fit)
     progress("finding the errors")
     found, phase, likely = _built(fit, scene, models, asked)
-    for liquid in likely.liquids if likely is not None else ():
-        of_spheres = Asked(spheres(), near=liquid, likely=likely)
+    for spherical in likely.liquids if likely is not None else ():
+        of_spheres = Asked(spheres(), near=spherical, likely=likely)
         other = _as_spheres(observation, scene, scaling, models, progress, misalignment, of_spheres, astray)
-        if other.rmse < AS_WELL * found.rmse:
+        if _explains_as_well(other, found):
             found = other
             break
     if asked.further is None or not (phase.misled or phase.explained < NEARLY_ALL):
@@ -267,6 +269,13 @@ def _as_spheres(
     progress("fitting spheres")
     other = fit_models(observation, scene, scaling, models.of(spheres()), progress, misalignment, asked, astray)
     return replace(other, verdict=f"{what_spheres_do()} {other.verdict}")
+
+
+def _explains_as_well(other: Estimate, freely: Estimate) -> bool:
+    """Whether an estimate leaves as much of an image as one of a free phase function does, within what that follows of
+    noise and of the model's own error."""
+    error = freely.model_error * rms(freely.image)
+    return other.rmse**2 < (AS_WELL * freely.rmse) ** 2 + FOLLOWED * error**2
 
 
 def _in_place(other: Estimate, share: float) -> Estimate:
@@ -341,7 +350,8 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     off, exact = nuisances_of(best, spread), fit.exact or models.exact
     answer = answer_of(best, spread, asked, left.beyond == 0.0, exact)
     undescribed, rough = _undescribed(best, left, asked)
-    likely = likely_spheres(best, spread, asked, answer, undescribed or fit.moved is not None)
+    unsure = undescribed or fit.moved is not None
+    likely = likely_spheres(best, spread, asked, answer, unsure, models.prepares)
     medium, spread = answer.liquid, phase.counted(answer.covariance)
     bent = phase.misled or phase.doubted or undescribed or fit.moved is not None
     known = {

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from tankrig.estimation.shots import Fit, Shot, rough_problem, weighed_problem
 from tankrig.estimation.stated_errors import COARSE, stated_error
 from tankrig.estimation.versions import image_of, is_noisy
 from tankrig.estimation.with_prepared import WithPrepared
+from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 
 Vector = NDArray[np.float64]
@@ -33,8 +35,9 @@ VALLEYS = 3
 SEVERAL_ENOUGH, SEVERAL_SHARE = 20.0, 0.02
 """Where the cheap models' fit of several images stops, and a search of phase functions by them, see `solve`: what these
 promise below that they do not keep. Of a bench's series 30 further steps lowered the cost by .35 %."""
-MOST_PREPARED = 3
-"""Times that models are prepared at most, each about where the last ones led."""
+MOST_PREPARED, MOST_CENTRES = 3, 6
+"""Times that models are prepared at most, each about where the last ones led, and that they are then made right at
+another medium. Beads of .5 µm, freely, took 5, two to three lead to most liquids."""
 STEPS_BEFORE_WEIGHT, PREPARED_STEPS, FINE_STEPS = 4, 20, 4
 """Steps by them at most: until it is told how firmly a phase function is expected to be smooth, then, and with fine
 derivatives."""
@@ -114,7 +117,8 @@ def fitted_on(shots: Sequence[Shot], looked: Searched, progress: Told, sharper: 
         return in_likeliest_mode(fit, best.problem, shots, slopes, progress, sharper)
     noise = [shot.slopes_noise_of(slope) for shot, (_, slope) in zip(shots, versions, strict=True)]
     settled = best.problem.with_slopes_noise(noise).at(best.coordinates)
-    return Fit(settled, tuple(fine for fine, _ in versions), moved=moved)
+    exact = partial(_made_right_at, shots[0]) if len(shots) == 1 and shots[0].models.prepares else None
+    return Fit(settled, tuple(fine for fine, _ in versions), exact=exact, moved=moved)
 
 
 def _nearer(
@@ -164,8 +168,35 @@ def _by_prepared(
     family, moved = shots[0].models.family, None
     if family is not None and family.ladder.size:
         best, moved = by_ladder(best, family, weight * MANY_ENOUGH, PREPARED_STEPS)
-    last, versions = _refined(best.problem, shots, best)
+    for _ in range(MOST_CENTRES):
+        before, there = [fine for fine, _ in versions], _versions(shots, best)
+        versions = [(_after(fine, one), _after(slope, one)) for (fine, slope), one in zip(there, before, strict=True)]
+        near = _weighed(best.problem, shots, best, versions, rough=True)
+        best = solve(near, best.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
+        if all(_agree(fine, one) for (fine, _), one in zip(there, before, strict=True)):
+            break
+    last = _weighed(best.problem, shots, best, versions)
     return solve(last, best.coordinates, weight * MANY_ENOUGH, FINE_STEPS, damping=0.0), versions, moved
+
+
+def _made_right_at(shot: Shot, medium: Medium, _times: float) -> Prediction:
+    """The image of a medium by what was prepared, made right there, by as many light paths as ever."""
+    fine, _ = shot.models.refined(medium)
+    return fine(medium)
+
+
+def _agree(model: Model, before: Model) -> bool:
+    """Whether a model's image at its centre is what an earlier one said, unless they are not of what was prepared."""
+    if isinstance(model, WithPrepared) and isinstance(before, WithPrepared):
+        return model.agrees(before)
+    return True
+
+
+def _after(model: Model, before: Model) -> Model:
+    """A model with what is learned on the way from an earlier one's medium, if both are of what was prepared."""
+    if isinstance(model, WithPrepared) and isinstance(before, WithPrepared):
+        return model.after(before)
+    return model
 
 
 def _weight(shots: Sequence[Shot], best: Evaluation, versions: Sequence[tuple[Model, Model]]) -> float:
@@ -177,15 +208,26 @@ def _weight(shots: Sequence[Shot], best: Evaluation, versions: Sequence[tuple[Mo
 def _refined(
     problem: Problem, shots: Sequence[Shot], near: Evaluation, rough: bool = False
 ) -> tuple[Problem, list[tuple[Model, Model]]]:
-    """The problem of the accurate models for media near some place, and these models, each with the one to
-    differentiate.
+    """The problem of the accurate models for media near some place, see `_weighed`, and these models."""
+    versions = _versions(shots, near)
+    return _weighed(problem, shots, near, versions, rough), versions
+
+
+def _versions(shots: Sequence[Shot], near: Evaluation) -> list[tuple[Model, Model]]:
+    """Accurate models for media near some place, each with the one to differentiate."""
+    return [shot.models.refined(liquid) for shot, liquid in zip(shots, near.media, strict=True)]
+
+
+def _weighed(
+    problem: Problem, shots: Sequence[Shot], near: Evaluation, versions: Sequence[tuple[Model, Model]],
+    rough: bool = False,
+) -> Problem:  # fmt: skip
+    """The problem of accurate models, whose errors count as they are at some place.
 
     If `rough`, derivatives are as accurate as the image that they are of, where that costs less: of orders that are
     solved for, or by a family's coordinates.
     """
-    media = near.media
-    versions = [shot.models.refined(liquid) for shot, liquid in zip(shots, media, strict=True)]
-    seen = [fine(liquid) for (fine, _), liquid in zip(versions, media, strict=True)]
+    seen = [fine(liquid) for (fine, _), liquid in zip(versions, near.media, strict=True)]
     forwards = [image_of(fine) for fine, _ in versions]
     differentiated = [
         fine if rough and (is_solved(fine) or shot.models.family) else slope
@@ -196,7 +238,7 @@ def _refined(
     slow = any(shot.models.prepares for shot in shots)
     weighed = weighed_problem(problem, shots, forwards, slopes, seen, near.added)
     noisy = any(is_noisy(model) for model in differentiated)
-    return replace(weighed, quick=quick, slow=slow, noisy=noisy), versions
+    return replace(weighed, quick=quick, slow=slow, noisy=noisy)
 
 
 def searched(

@@ -276,8 +276,20 @@ def _tank_models(scene: Scene, max_order: int | None) -> Models:
     def exact(medium: Medium, times: float) -> Prediction:
         return following(max(math.ceil(times * batches(medium, EXACT_NOISE, EXACT_BATCHES)), fewest), 3)(medium)
 
-    different = partial(family_models, scene, max_order=max_order) if scene.tank.faces.dark else None
+    different = _families(scene, max_order)
     return Models(coarse, refine, exact=exact, low=low_orders_of(scene, max_order), different=different)
+
+
+def _families(scene: Scene, max_order: int | None) -> Callable[[Family], Models] | None:
+    """Gives versions for a family's media; None where they are of whole images, as for Henyey–Greenstein's.
+
+    Where light or sight slants, light paths leave so much noise that a family's coordinates are lost in it, and what
+    is prepared has little.
+    """
+    prepared = _slants(scene) and max_order is None
+    if not (prepared or scene.tank.faces.dark):
+        return None
+    return partial(family_models, scene, max_order=max_order, prepared=prepared)
 
 
 def low_orders_of(scene: Scene, max_order: int | None = None) -> Model | None:
@@ -310,7 +322,7 @@ def _followed_models(scene: Scene, max_order: int | None) -> Models:
 
     return Models(
         coarse, refine, exact=_accurate(scene, max_order, batches), look=_look(scene, max_order),
-        different=partial(family_models, scene, max_order=max_order),
+        different=_families(scene, max_order),
     )  # fmt: skip
 
 
@@ -323,9 +335,14 @@ def _look(scene: Scene, max_order: int | None) -> tuple[int, Followed]:
 
 def _fewest(scene: Scene) -> int:
     """Lattices of paths of a cheap image of a scene."""
+    return SMOOTHED_BATCHES if _slants(scene) else COARSE_BATCHES
+
+
+def _slants(scene: Scene) -> bool:
+    """Whether light or sight slants."""
     from tankrig.light.rays import shift_invariant
 
-    return COARSE_BATCHES if shift_invariant(scene) else SMOOTHED_BATCHES
+    return not shift_invariant(scene)
 
 
 def family_models(
@@ -350,11 +367,9 @@ def family_models(
     made
         What was prepared so, for other families too; what is, is added.
     """
-    from tankrig.light.rays import shift_invariant
-
     fewest = _fewest(scene)
     followed = partial(
-        Followed, scene, max_order=max_order, family=family, tables=None if shift_invariant(scene) else COARSE,
+        Followed, scene, max_order=max_order, family=family, tables=COARSE if _slants(scene) else None,
         water_sigma_s=water_sigma_s,
     )  # fmt: skip
     coarse = followed(fewest, 0)
@@ -421,5 +436,5 @@ def _models_with_beside(scene: Scene) -> Models:
     rougher = WithBeside(seen, described_beside(looked_at, rough=True)[1])
     return replace(
         main, coarse=with_rough(main.coarse), refine=refined, exact=accurate, look=(by, rougher),
-        different=partial(family_models, scene) if scene.tank.faces.dark else whole.of,
+        different=_families(scene, None) or whole.of,
     )  # fmt: skip

@@ -53,7 +53,7 @@ class LikelySpheres:
     Parameters
     ----------
     liquids
-        Of these, of different diameters, likeliest first.
+        Of these, of different diameters, likeliest first; None for one to be looked for anywhere.
     freely
         That fit's optimum.
     spread
@@ -62,7 +62,7 @@ class LikelySpheres:
         The free one.
     """
 
-    liquids: tuple[Medium, ...]
+    liquids: tuple[Medium | None, ...]
     freely: Evaluation
     spread: Array
     family: Family

@@ -320,7 +320,7 @@ def fit_series(
     versions = _of_spheres(scenes, models)
     for one in likely.liquids:
         progress("fitting spheres")
-        near = in_tank(one, found.water.sigma_a, float(doses.ml[highest]))
+        near = None if one is None else in_tank(one, found.water.sigma_a, float(doses.ml[highest]))
         asked = Asked(spheres(), near=near, likely=likely)
         other = fit_series(observations, scenes, doses, scaling, versions, None, progress, asked, nuisance)
         if rms(other.rmse / found.rmse) < AS_WELL:
