@@ -26,7 +26,6 @@ from tankrig.estimation.residual import (
 from tankrig.estimation.search import Told
 from tankrig.estimation.shots import Shot, weighed_problem
 from tankrig.estimation.versions import Models
-from tankrig.light.rays import shift_invariant
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
@@ -166,16 +165,12 @@ class Doubt:
     def hidden(self, sign: Shown | None) -> PhaseTold:
         """What a residual that is noise by its size tells of phase functions.
 
-        With slanting light or sight, where that takes long, they are asked only where anything is not as expected.
-
         Parameters
         ----------
         sign
             The light astray that it shows.
         """
-        hinted = sign is not None or self.left.unexplained > 0.0 or self.left.noisier > 1.0
-        tank = self._may_be_asked and self.left.prediction.model == "tank"
-        if not tank or not (shift_invariant(self.scene) or hinted):
+        if not (self._may_be_asked and self.left.prediction.model == "tank"):
             return PhaseTold()
         free = self._by_derivatives
         if not self._beyond_doubt(free, sign):
