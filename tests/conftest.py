@@ -38,3 +38,12 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory):
             session = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
             patch.setenv("TANKRIG_CACHE", str(session / "tankrig-cache"))
         yield
+
+
+@pytest.fixture(autouse=True)
+def _application(request: pytest.FixtureRequest) -> None:
+    """Widgets want an application: without one Qt aborts the process, which happened to whoever was first in it."""
+    if request.path.name.startswith("test_window"):
+        from ui.window.app import application
+
+        application()

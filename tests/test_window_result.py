@@ -33,13 +33,6 @@ LOBES = PhaseFound(
 )  # fmt: skip
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _application():
-    from ui.window.app import application
-
-    application()
-
-
 def with_lobes(dose_ml: float, **more: object) -> DoseFit:
     """A fit that found two lobes."""
     known = {"sigma_a": True, "sigma_s": True, "g": True}

@@ -16,9 +16,6 @@ EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "dilution.toml"
 
 @pytest.fixture
 def document():
-    from ui.window.app import application
-
-    application()
     made = SequenceDocument()
     made.load(EXAMPLE)
     return made
@@ -158,9 +155,6 @@ WRONG = (
 @pytest.mark.parametrize("text", WRONG)
 def test_whatever_a_file_says_it_opens_and_the_rest_can_be_edited(text):
     """A file that brings the editor down cannot be mended in it."""
-    from ui.window.app import application
-
-    application()
     from ui.window.sequence_page import SequencePage
 
     page = SequencePage()
