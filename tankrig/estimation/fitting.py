@@ -237,7 +237,7 @@ def _weighed(
     quick = all(shot.models.quick(model) for shot, model in zip(shots, differentiated, strict=True))
     slow = any(shot.models.prepares for shot in shots)
     weighed = weighed_problem(problem, shots, forwards, slopes, seen, near.added)
-    noisy = any(is_noisy(model) for model in differentiated)
+    noisy = any(is_noisy(shot.models, model) for shot, model in zip(shots, differentiated, strict=True))
     return replace(weighed, quick=quick, slow=slow, noisy=noisy)
 
 

@@ -139,7 +139,11 @@ def rough_problem(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Sca
         views.append(shot.view(image_of(coarse), shot.slopes_of(coarse), error))
     quick = all(shot.models.quick(shot.models.coarse) for shot in shots)
     return Problem(
-        tuple(views), blocks, scaling, quick=quick, noisy=any(is_noisy(shot.models.coarse) for shot in shots)
+        tuple(views),
+        blocks,
+        scaling,
+        quick=quick,
+        noisy=any(is_noisy(shot.models, shot.models.coarse) for shot in shots),
     )
 
 
