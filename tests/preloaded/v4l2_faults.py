@@ -31,8 +31,12 @@ def test_after_a_pause_only_frames_of_the_new_light_are_handed_out(camera, devic
 
 
 def test_dropped_frames_show_as_gaps_and_nothing_else(camera, device):
+    """Beside other programs the stand-in stamps a frame late now and then, as no kernel does; from some frames on a
+    late stamp is known for one, and of the first two it is not."""
     camera.configure(CameraSettings(5.0))
     frames = [camera.capture(now(), 2.0)]
+    for _ in range(8):
+        frames = [camera.capture(frames[0].exposure_start_ns, 2.0)]
     device.set("dropped_per_1000", 300)
     for _ in range(40):
         frames.append(camera.capture(frames[-1].exposure_start_ns, 2.0))
