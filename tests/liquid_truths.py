@@ -51,12 +51,13 @@ ABSORBED = 0.03
 THREE_BEAMS = tuple(Beam((low, low + 4.0), (58.0, 62.0)) for low in (-42.0, -2.0, 38.0))
 SHEET = (Beam((-60.0, 60.0), (58.0, 62.0)),)
 WITH_SHEET = ("bead-1.0-0.010", "intralipid-0.010")
-"""Of these there is an image of a sheet of light besides."""
+"""Liquids of which there is an image of a sheet of light besides."""
 SLANTED = (
     "bead-0.2-0.030", "bead-0.5-0.010", "bead-1.0-0.010", "intralipid-0.010", "intralipid-0.030", "milk-0.020",
     "petzold-0.010", "two-term-0.020", "reynolds-mccormick-0.020", "fournier-forand-0.020",
 )  # fmt: skip
-"""Of these there are images by two pinholes besides, in a tank that bends no light and through glass and surface."""
+"""Liquids that two pinholes light and see besides: in a tank that bends no light (NAME-pinholes), and through glass and
+surface (NAME-bent; `--only=-bent` makes these alone)."""
 
 
 def spheres(diameters_um: Array, index: float, number: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from tankrig.estimation.followed import Followed
 from tankrig.estimation.forward import models_of
 from tankrig.estimation.light_beside import described_beside
 from tankrig.estimation.optimiser import solve
+from tankrig.estimation.problem import Problem
 from tankrig.light.tank import tank_image
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.optics import Halo
@@ -29,7 +31,7 @@ def seen_by_pinholes(liquid: Medium, rows: int = 40) -> Scene:
 
 
 def off(found: Array, true: Array) -> float:
-    """Relative L2."""
+    """By how much an image differs from the true one, over the L2 norm of that."""
     return float(np.linalg.norm(found - true) / np.linalg.norm(true))
 
 
@@ -99,7 +101,7 @@ def asked(noisy: bool) -> int:
     wide = np.full(1, 5.0)
     rest = {"longest_step": wide, "quick": False, "least_damping": 0.0, "noisy": noisy}
     problem = SimpleNamespace(at=Misled, box=(-wide, wide), **rest)
-    end = solve(problem, np.zeros(1), 0.02, 30)  # type: ignore[arg-type]
+    end = solve(cast(Problem, problem), np.zeros(1), 0.02, 30)
     assert end.coordinates == [0.0]
     return len(looks)
 

@@ -37,7 +37,7 @@ SEVERAL_ENOUGH, SEVERAL_SHARE = 20.0, 0.02
 promise below that they do not keep. Of a bench's series 30 further steps lowered the cost by .35 %."""
 MOST_PREPARED, MOST_CENTRES = 3, 6
 """Times that models are prepared at most, each about where the last ones led, and that they are then made right at
-another medium. Beads of .5 µm, freely, took 5, two to three lead to most liquids."""
+another medium: five for a free phase function of beads of .5 µm, two or three for most liquids."""
 STEPS_BEFORE_WEIGHT, PREPARED_STEPS, FINE_STEPS = 4, 20, 4
 """Steps by them at most: until it is told how firmly a phase function is expected to be smooth, then, and with fine
 derivatives."""
@@ -171,11 +171,11 @@ def _by_prepared(
     for _ in range(MOST_CENTRES):
         before, there = [fine for fine, _ in versions], _versions(shots, best)
         versions = [(_after(fine, one), _after(slope, one)) for (fine, slope), one in zip(there, before, strict=True)]
-        near = _weighed(best.problem, shots, best, versions, rough=True)
+        near = _accurate_problem(best.problem, shots, best, versions, rough=True)
         best = solve(near, best.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
         if all(_agree(fine, one) for (fine, _), one in zip(there, before, strict=True)):
             break
-    last = _weighed(best.problem, shots, best, versions)
+    last = _accurate_problem(best.problem, shots, best, versions)
     return solve(last, best.coordinates, weight * MANY_ENOUGH, FINE_STEPS, damping=0.0), versions, moved
 
 
@@ -208,9 +208,9 @@ def _weight(shots: Sequence[Shot], best: Evaluation, versions: Sequence[tuple[Mo
 def _refined(
     problem: Problem, shots: Sequence[Shot], near: Evaluation, rough: bool = False
 ) -> tuple[Problem, list[tuple[Model, Model]]]:
-    """The problem of the accurate models for media near some place, see `_weighed`, and these models."""
+    """The problem of the accurate models for media near some place, see `_accurate_problem`, and these models."""
     versions = _versions(shots, near)
-    return _weighed(problem, shots, near, versions, rough), versions
+    return _accurate_problem(problem, shots, near, versions, rough), versions
 
 
 def _versions(shots: Sequence[Shot], near: Evaluation) -> list[tuple[Model, Model]]:
@@ -218,7 +218,7 @@ def _versions(shots: Sequence[Shot], near: Evaluation) -> list[tuple[Model, Mode
     return [shot.models.refined(liquid) for shot, liquid in zip(shots, near.media, strict=True)]
 
 
-def _weighed(
+def _accurate_problem(
     problem: Problem, shots: Sequence[Shot], near: Evaluation, versions: Sequence[tuple[Model, Model]],
     rough: bool = False,
 ) -> Problem:  # fmt: skip

@@ -128,8 +128,6 @@ def models_of(
 
 
 def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, checked: bool) -> Models:
-    from tankrig.light.rays import shift_invariant
-
     _require_prepared_for(scene, model, max_order)
     box = model.box
     answered, predicted = _answers(model)
@@ -150,7 +148,7 @@ def _prepared_models(scene: Scene, model: "Prepared", max_order: int | None, che
     return Models(
         predicted, refine, lambda medium: answered(medium)[1],
         Range.of_media(scattering, albedo, g, sigma_t=box.sigma_t),
-        exact=_compared(scene, model) if checked and is_ideal(scene) and not shift_invariant(scene) else None,
+        exact=_compared(scene, model) if checked and is_ideal(scene) and _slants(scene) else None,
         along=along if model.phases == "any" else None,
         slopes_noise=slopes_noise if model.phases == "hg" else None,
     )  # fmt: skip

@@ -138,13 +138,8 @@ def rough_problem(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Sca
         error = share * np.maximum(seen.image - ambient, 0.0)
         views.append(shot.view(image_of(coarse), shot.slopes_of(coarse), error))
     quick = all(shot.models.quick(shot.models.coarse) for shot in shots)
-    return Problem(
-        tuple(views),
-        blocks,
-        scaling,
-        quick=quick,
-        noisy=any(is_noisy(shot.models, shot.models.coarse) for shot in shots),
-    )
+    noisy = any(is_noisy(shot.models, shot.models.coarse) for shot in shots)
+    return Problem(tuple(views), blocks, scaling, quick=quick, noisy=noisy)
 
 
 def weighed_problem(

@@ -216,21 +216,16 @@ class WithPrepared:
         return remembered(image)
 
     def _whole(self, medium: Medium) -> Image:
-        return self._low(medium) + self._high(medium)
+        return self._low(medium) + self.high.image(self._in_water(medium), self.lacking(medium))
 
-    def _high(self, medium: Medium) -> Image:
-        found: Image = self.high.image(self._in_water(medium))
-        return np.maximum(found + self._size(medium) * self.lacking(medium), 0.0) if self.secants else found
-
-    def _size(self, medium: Medium) -> float:
-        """L2 norm of orders ≥ 3 as prepared."""
-        return float(np.linalg.norm(self.high.high.image(self._in_water(medium))))
-
-    def lacking(self, medium: Medium) -> Image:
-        """(rows, columns) of orders ≥ 3, what they lack more than at the centre, over that norm."""
+    def lacking(self, medium: Medium) -> NDArray[np.float64] | float:
+        """(rows, columns) of orders ≥ 3, what they lack more than at the centre, over their norm; 0 where no way is
+        known, for media of any family."""
+        if not self.secants:
+            return 0.0
         way = self.place_of(medium) - self.place_of(self.centre)
         told = [float(one.along @ way) * one.change for one in self.secants]
-        return np.asarray(np.sum([np.zeros(self.lift.whole.scene.camera.shape), *told], axis=0))
+        return np.asarray(np.sum(told, axis=0), float)
 
     def place_of(self, medium: Medium) -> NDArray[np.float64]:
         """Logarithms of σt and σs, and the family's coordinates, over changes that are `ALIKE`."""
@@ -269,7 +264,7 @@ class WithPrepared:
 
         def slopes(medium: Medium) -> Image:
             turning, sizes = turning_of(medium, family)
-            _, high = self.high.image_and_slopes(medium, turning.others)
+            _, high = self.high.image_and_slopes(medium, turning.others, self.lacking(medium))
             per_step = np.concatenate([np.ones(2), 1.0 / sizes])[:, None, None]
             by_high = high * per_step + self._slopes_of_lacking(medium)
             return np.asarray(self._low(medium) * shares(medium) + by_high)
@@ -277,10 +272,10 @@ class WithPrepared:
         return remembered(slopes)
 
     def _slopes_of_lacking(self, medium: Medium) -> Image:
-        """(2 + k, rows, columns) derivatives of what `lacking` adds to orders ≥ 3, whose norm changes little."""
+        """(2 + k, rows, columns) what the way to a medium adds to derivatives of orders ≥ 3, by what these lack."""
         found = np.zeros((2 + self._family.low.size, *self.lift.whole.scene.camera.shape))
         for one in self.secants:
             by_sigma_t, by_sigma_s = one.along[:2] / ALIKE[0] / (medium.sigma_t, medium.sigma_s)
             by_values = np.array([by_sigma_t, by_sigma_t + by_sigma_s, *(one.along[2:] / ALIKE[1])])
-            found += self._size(medium) * by_values[:, None, None] * one.change
-        return found
+            found += by_values[:, None, None] * one.change
+        return self.high.size_at(self._in_water(medium)) * found

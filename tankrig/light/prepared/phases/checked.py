@@ -59,22 +59,28 @@ class CheckedOrders:
     off: Array
     errors: Array
 
-    def image(self, medium: Medium) -> Array:
-        """(rows, columns) of orders ≥ 3, W/mm²/sr; never negative."""
+    def image(self, medium: Medium, besides: Array | float = 0.0) -> Array:
+        """(rows, columns) of orders ≥ 3, W/mm²/sr, which lack so much besides, over their norm; never negative."""
         found = self.high.image(medium)
-        return np.maximum(found + float(np.linalg.norm(found)) * self.off, 0.0)
+        return np.maximum(found + float(np.linalg.norm(found)) * (self.off + besides), 0.0)
 
-    def image_and_slopes(self, medium: Medium, others: Sequence[PhaseFunction]) -> tuple[Array, Array]:
+    def image_and_slopes(
+        self, medium: Medium, others: Sequence[PhaseFunction], besides: Array | float = 0.0
+    ) -> tuple[Array, Array]:
         """The image, and (2 + others, rows, columns) its derivatives by σa, σs and the share of the way to each of the
-        other phase functions."""
+        other phase functions; of what it lacks besides as the norm changes only."""
         found, slopes = self.high.image_and_slopes(medium, others)
-        size = float(np.linalg.norm(found))
+        size, off = float(np.linalg.norm(found)), self.off + besides
         growth = np.tensordot(slopes, found, 2) / size if size > 0.0 else np.zeros(len(slopes))
-        return np.maximum(found + size * self.off, 0.0), slopes + growth[:, None, None] * self.off
+        return np.maximum(found + size * off, 0.0), slopes + growth[:, None, None] * off
+
+    def size_at(self, medium: Medium) -> float:
+        """L2 norm of orders ≥ 3 as prepared."""
+        return float(np.linalg.norm(self.high.image(medium)))
 
     def errors_at(self, medium: Medium) -> Array:
         """(n, rows, columns) the errors of the image of a medium nearby, as they lie."""
-        return float(np.linalg.norm(self.high.image(medium))) * self.errors
+        return self.size_at(medium) * self.errors
 
 
 def checked_at(high: HighAnswer, medium: Medium, threads: int = THREADS) -> CheckedOrders:
