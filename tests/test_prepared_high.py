@@ -169,29 +169,29 @@ def test_a_model_about_a_medium_has_all_orders_and_its_derivatives(prepared: Hig
         assert np.linalg.norm(change - slopes[number]) < 0.12 * np.linalg.norm(change), number
 
 
-def test_what_is_learned_on_the_way_between_two_media_holds_at_both(prepared: HighAnswer) -> None:
-    """A fit that follows shapes that what was prepared hardly knows goes to and fro, if each place knows itself only.
+def test_derivatives_at_the_centre_are_made_right_there(prepared: HighAnswer) -> None:
+    """A fit follows shapes that what was prepared hardly knows as far as derivatives promise.
 
-    Beads alike are 2 to 3 % off what was prepared, and the emulsion that a fit may come from is not.
+    By those as prepared a two-term liquid's fit ended at σs −5.9 ± 1.3 %, where images cost 36 more than at the truth.
     """
-    family = free()
+    family, shape = free(), SCENE.camera.shape
     low = Lift.of(Followed(SCENE, 1, 0, None, family=family, tables=0.02))
+    place = as_free(BEAD)
     there, here = (
-        WithPrepared.about(low, Medium(0.0004, sigma_s, phase=family.phase(as_free(phase))), [prepared])
-        for sigma_s, phase in ((0.0102, BEAD), (0.0106, Mie(0.55, 1.58242, 1.3317, 633.0)))
+        WithPrepared.about(low, Medium(0.0004, sigma_s, phase=family.phase(at)), [prepared])
+        for sigma_s, at in ((0.0102, place), (0.0104, place + 0.4 * np.eye(place.size)[5]))
     )
     assert here.agrees(here)
-    assert not here.agrees(there)
-    taught = here.after(there)
-    known, alone, both = (model(there.centre).image for model in (there, here, taught))
-    assert np.linalg.norm(both - known) < 0.15 * np.linalg.norm(alone - known)
-    np.testing.assert_array_equal(taught(here.centre).image, here(here.centre).image)
+    as_prepared = replace(here, missed=lambda: np.zeros((2 + family.low.size, *shape)))
+    known, foretold, unknown = (model(there.centre).image for model in (there, here, as_prepared))
+    assert np.linalg.norm(foretold - known) < 0.7 * np.linalg.norm(unknown - known)
+    np.testing.assert_array_equal(as_prepared(here.centre).image, here(here.centre).image)
     at = values_of(here.centre, family)
-    extra = taught.slopes(here.centre) - here.slopes(here.centre)
+    extra = here.slopes(here.centre) - as_prepared.slopes(here.centre)
     for number, step in ((0, 2e-5), (1, 2e-5), (2, 0.01), (6, 0.02)):
         moved = at + step * np.eye(at.size)[number]
         ahead = Medium(float(moved[0]), float(moved[1]), phase=family.phase(moved[2:]))
-        change = (taught(ahead).image - here(ahead).image) / step
+        change = (here(ahead).image - as_prepared(ahead).image) / step
         assert np.linalg.norm(change - extra[number]) < 0.05 * np.linalg.norm(change) + 1e-9, number
 
 

@@ -9,21 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.about_exact import MANY_ENOUGH, few_steps
+from tankrig.estimation.accurate import Versions, refined, smoothness_at
+from tankrig.estimation.by_prepared import by_prepared, made_right_at
 from tankrig.estimation.corrections import SOLVED_ENOUGH, corrected_fit
-from tankrig.estimation.followed import Model
 from tankrig.estimation.light_beside import is_solved
-from tankrig.estimation.modes import by_ladder, in_likeliest_mode
+from tankrig.estimation.modes import in_likeliest_mode
 from tankrig.estimation.optimiser import COARSE_ENOUGH, polish, solve
 from tankrig.estimation.parameters import Block
-from tankrig.estimation.prior_weight import believing, weight_of_priors
+from tankrig.estimation.prior_weight import believing
 from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import RIVAL, Told, by_cost, densities, first_guess, profiled, search
-from tankrig.estimation.shots import Fit, Shot, rough_problem, weighed_problem
+from tankrig.estimation.shots import Fit, Shot, rough_problem
 from tankrig.estimation.stated_errors import COARSE, stated_error
-from tankrig.estimation.versions import image_of, is_noisy
-from tankrig.estimation.with_prepared import WithPrepared
-from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 
 Vector = NDArray[np.float64]
@@ -35,14 +33,6 @@ VALLEYS = 3
 SEVERAL_ENOUGH, SEVERAL_SHARE = 20.0, 0.02
 """Where the cheap models' fit of several images stops, and a search of phase functions by them, see `solve`: what these
 promise below that they do not keep. Of a bench's series 30 further steps lowered the cost by .35 %."""
-MOST_PREPARED, MOST_CENTRES = 3, 6
-"""Times that models are prepared at most, each about where the last ones led, and that they are then made right at
-another medium: five for a free phase function of beads of .5 µm, two or three for most liquids."""
-STEPS_BEFORE_WEIGHT, PREPARED_STEPS, FINE_STEPS = 4, 20, 4
-"""Steps by them at most: until it is told how firmly a phase function is expected to be smooth, then, and with fine
-derivatives."""
-LIGHTER = 0.5
-"""Share of how firmly that was expected, below which an end that says so has the fit go on."""
 CLEANINGS = 3
 """Times at most that a fit is repeated without the pixels that it shows to be outliers."""
 
@@ -103,7 +93,7 @@ def fitted_on(shots: Sequence[Shot], looked: Searched, progress: Told, sharper: 
         best = by_cost(solve(problem, one, SEVERAL_ENOUGH) for one in found)[0]
     elif any(shot.models.prepares for shot in shots):
         progress("preparing models of what was found")
-        best, versions, moved = _by_prepared(problem, shots, found)
+        best, versions, moved = by_prepared(problem, shots, found)
     elif len(shots) > 1 and all(shot.models.family and shot.models.exact for shot in shots):
         # The first exact images lead on from there for less, for they need no paths at each step.
         best = by_cost(problem.at(one) for one in found)[0]
@@ -117,15 +107,13 @@ def fitted_on(shots: Sequence[Shot], looked: Searched, progress: Told, sharper: 
         return in_likeliest_mode(fit, best.problem, shots, slopes, progress, sharper)
     noise = [shot.slopes_noise_of(slope) for shot, (_, slope) in zip(shots, versions, strict=True)]
     settled = best.problem.with_slopes_noise(noise).at(best.coordinates)
-    exact = partial(_made_right_at, shots[0]) if len(shots) == 1 and shots[0].models.prepares else None
+    exact = partial(made_right_at, shots[0]) if len(shots) == 1 and shots[0].models.prepares else None
     return Fit(settled, tuple(fine for fine, _ in versions), exact=exact, moved=moved)
 
 
-def _nearer(
-    problem: Problem, shots: Sequence[Shot], found: Sequence[Vector]
-) -> tuple[Evaluation, list[tuple[Model, Model]]]:
-    """The optimum by accurate models from where a search has ended, and these models, see `_refined`."""
-    problem, versions = _refined(problem, shots, problem.at(found[0]), rough=True)
+def _nearer(problem: Problem, shots: Sequence[Shot], found: Sequence[Vector]) -> tuple[Evaluation, Versions]:
+    """The optimum by accurate models from where a search has ended, and these models, see `refined`."""
+    problem, versions = refined(problem, shots, problem.at(found[0]), rough=True)
     of_family = any(shot.models.family for shot in shots)
     enough = SOLVED_ENOUGH if any(is_solved(fine) for fine, _ in versions) else None
     steps = few_steps(shots)
@@ -135,110 +123,13 @@ def _nearer(
         polish(problem, one) if enough is None else solve(problem, one, enough, steps, damping=0.0) for one in found
     )[0]
     if of_family:
-        weight = _weight(shots, best, versions)
+        weight = smoothness_at(shots, best, versions)
         if weight > 1.0:  # what followed structure goes back
             best = solve(believing(problem, weight), best.coordinates, MANY_ENOUGH, steps, damping=0.0)
     if any(is_solved(fine) for fine, _ in versions):  # for what was found, and not for where it began
-        problem, versions = _refined(problem, shots, best)
+        problem, versions = refined(problem, shots, best)
         best = problem.at(best.coordinates)
     return best, versions
-
-
-def _by_prepared(
-    problem: Problem, shots: Sequence[Shot], found: Sequence[Vector]
-) -> tuple[Evaluation, list[tuple[Model, Model]], Vector | None]:
-    """The same by models that are prepared about where a search has ended, and again where that leads out of them; and
-    by how much another mode of the family that is as likely differs."""
-    best = by_cost(problem.at(one) for one in found)[0]
-    for _ in range(MOST_PREPARED):
-        near, versions = _refined(problem, shots, best, rough=True)
-        best = solve(near, best.coordinates, MANY_ENOUGH, STEPS_BEFORE_WEIGHT, damping=0.0)
-        weight = _weight(shots, best, versions)
-        best = solve(believing(near, weight), best.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
-        lighter = _weight(shots, best, versions)
-        if lighter < LIGHTER * weight:  # there was structure since these few steps had not led to the end
-            weight = lighter
-            best = solve(believing(near, weight), best.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
-        if all(
-            fine.holds(medium)
-            for (fine, _), medium in zip(versions, best.media, strict=True)
-            if isinstance(fine, WithPrepared)
-        ):
-            break
-    family, moved = shots[0].models.family, None
-    if family is not None and family.ladder.size:
-        best, moved = by_ladder(best, family, weight * MANY_ENOUGH, PREPARED_STEPS)
-    for _ in range(MOST_CENTRES):
-        before, there = [fine for fine, _ in versions], _versions(shots, best)
-        versions = [(_after(fine, one), _after(slope, one)) for (fine, slope), one in zip(there, before, strict=True)]
-        near = _accurate_problem(best.problem, shots, best, versions, rough=True)
-        best = solve(near, best.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
-        if all(_agree(fine, one) for (fine, _), one in zip(there, before, strict=True)):
-            break
-    last = _accurate_problem(best.problem, shots, best, versions)
-    return solve(last, best.coordinates, weight * MANY_ENOUGH, FINE_STEPS, damping=0.0), versions, moved
-
-
-def _made_right_at(shot: Shot, medium: Medium, _times: float) -> Prediction:
-    """The image of a medium by what was prepared, made right there, by as many light paths as ever."""
-    fine, _ = shot.models.refined(medium)
-    return fine(medium)
-
-
-def _agree(model: Model, before: Model) -> bool:
-    """Whether a model's image at its centre is what an earlier one said, unless they are not of what was prepared."""
-    if isinstance(model, WithPrepared) and isinstance(before, WithPrepared):
-        return model.agrees(before)
-    return True
-
-
-def _after(model: Model, before: Model) -> Model:
-    """A model with what is learned on the way from an earlier one's medium, if both are of what was prepared."""
-    if isinstance(model, WithPrepared) and isinstance(before, WithPrepared):
-        return model.after(before)
-    return model
-
-
-def _weight(shots: Sequence[Shot], best: Evaluation, versions: Sequence[tuple[Model, Model]]) -> float:
-    """How firmly a phase function is expected to be smooth, see `weight_of_priors`."""
-    seen = [fine(liquid) for (fine, _), liquid in zip(versions, best.media, strict=True)]
-    return weight_of_priors(best, seen, [shot.scene for shot in shots])
-
-
-def _refined(
-    problem: Problem, shots: Sequence[Shot], near: Evaluation, rough: bool = False
-) -> tuple[Problem, list[tuple[Model, Model]]]:
-    """The problem of the accurate models for media near some place, see `_accurate_problem`, and these models."""
-    versions = _versions(shots, near)
-    return _accurate_problem(problem, shots, near, versions, rough), versions
-
-
-def _versions(shots: Sequence[Shot], near: Evaluation) -> list[tuple[Model, Model]]:
-    """Accurate models for media near some place, each with the one to differentiate."""
-    return [shot.models.refined(liquid) for shot, liquid in zip(shots, near.media, strict=True)]
-
-
-def _accurate_problem(
-    problem: Problem, shots: Sequence[Shot], near: Evaluation, versions: Sequence[tuple[Model, Model]],
-    rough: bool = False,
-) -> Problem:  # fmt: skip
-    """The problem of accurate models, whose errors count as they are at some place.
-
-    If `rough`, derivatives are as accurate as the image that they are of, where that costs less: of orders that are
-    solved for, or by a family's coordinates.
-    """
-    seen = [fine(liquid) for (fine, _), liquid in zip(versions, near.media, strict=True)]
-    forwards = [image_of(fine) for fine, _ in versions]
-    differentiated = [
-        fine if rough and (is_solved(fine) or shot.models.family) else slope
-        for shot, (fine, slope) in zip(shots, versions, strict=True)
-    ]
-    slopes = [shot.slopes_of(model) for shot, model in zip(shots, differentiated, strict=True)]
-    quick = all(shot.models.quick(model) for shot, model in zip(shots, differentiated, strict=True))
-    slow = any(shot.models.prepares for shot in shots)
-    weighed = weighed_problem(problem, shots, forwards, slopes, seen, near.added)
-    noisy = any(is_noisy(shot.models, model) for shot, model in zip(shots, differentiated, strict=True))
-    return replace(weighed, quick=quick, slow=slow, noisy=noisy)
 
 
 def searched(

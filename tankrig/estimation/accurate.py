@@ -1,0 +1,54 @@
+"""Problems of accurate models, which are good for media near some place."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from tankrig.estimation.followed import Model
+from tankrig.estimation.light_beside import is_solved
+from tankrig.estimation.prior_weight import weight_of_priors
+from tankrig.estimation.problem import Evaluation, Problem
+from tankrig.estimation.shots import Shot, weighed_problem
+from tankrig.estimation.versions import image_of, is_noisy
+
+Versions = list[tuple[Model, Model]]
+"""Of each image a model, and the one to differentiate."""
+
+
+def refined(problem: Problem, shots: Sequence[Shot], near: Evaluation, rough: bool = False) -> tuple[Problem, Versions]:
+    """The problem of the accurate models for media near some place, see `accurate_problem`, and these models."""
+    versions = versions_near(shots, near)
+    return accurate_problem(problem, shots, near, versions, rough), versions
+
+
+def versions_near(shots: Sequence[Shot], near: Evaluation) -> Versions:
+    """Accurate models for media near some place, each with the one to differentiate."""
+    return [shot.models.refined(liquid) for shot, liquid in zip(shots, near.media, strict=True)]
+
+
+def accurate_problem(
+    problem: Problem, shots: Sequence[Shot], near: Evaluation, versions: Sequence[tuple[Model, Model]],
+    rough: bool = False,
+) -> Problem:  # fmt: skip
+    """The problem of accurate models, whose errors count as they are at some place.
+
+    If `rough`, derivatives are as accurate as the image that they are of, where that costs less: of orders that are
+    solved for, or by a family's coordinates.
+    """
+    seen = [fine(liquid) for (fine, _), liquid in zip(versions, near.media, strict=True)]
+    forwards = [image_of(fine) for fine, _ in versions]
+    differentiated = [
+        fine if rough and (is_solved(fine) or shot.models.family) else slope
+        for shot, (fine, slope) in zip(shots, versions, strict=True)
+    ]
+    slopes = [shot.slopes_of(model) for shot, model in zip(shots, differentiated, strict=True)]
+    quick = all(shot.models.quick(model) for shot, model in zip(shots, differentiated, strict=True))
+    slow = any(shot.models.prepares for shot in shots)
+    weighed = weighed_problem(problem, shots, forwards, slopes, seen, near.added)
+    noisy = any(is_noisy(shot.models, model) for shot, model in zip(shots, differentiated, strict=True))
+    return replace(weighed, quick=quick, slow=slow, noisy=noisy)
+
+
+def smoothness_at(shots: Sequence[Shot], best: Evaluation, versions: Versions) -> float:
+    """How firmly a phase function is expected to be smooth, see `weight_of_priors`."""
+    seen = [fine(liquid) for (fine, _), liquid in zip(versions, best.media, strict=True)]
+    return weight_of_priors(best, seen, [shot.scene for shot in shots])

@@ -1,0 +1,147 @@
+"""The optimum by models that are prepared about where a search has ended, and made right where they lead.
+
+What is prepared of orders ≥ 3 holds for media nearby, and its image and derivatives are right at one of them
+(`WithPrepared`). A fit goes from there to where that leads, and it is made right there anew, until a place is what the
+one before foretold. Where an image hardly tells a phase function's shapes a fit would go far beyond what is known of
+derivatives, so shapes are held to where they are right, and a place that explains less than the one before, by models
+made right at both, is not gone on from.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.estimation.about_exact import MANY_ENOUGH, always
+from tankrig.estimation.accurate import Versions, accurate_problem, refined, smoothness_at, versions_near
+from tankrig.estimation.borne_out import WORSE
+from tankrig.estimation.by_shares import CLOSE
+from tankrig.estimation.modes import by_ladder
+from tankrig.estimation.optimiser import solve
+from tankrig.estimation.prior_weight import believing
+from tankrig.estimation.problem import Evaluation, Problem
+from tankrig.estimation.search import by_cost
+from tankrig.estimation.shots import Shot
+from tankrig.estimation.with_prepared import WithPrepared
+from tankrig.prediction import Prediction
+from tankrig.scene import Medium
+
+Vector = NDArray[np.float64]
+
+MOST_PREPARED, MOST_CENTRES = 3, 12
+"""Times that models are prepared at most, each about where the last ones led, and that they are then made right at
+another medium: three to six for most liquids."""
+STEPS_BEFORE_WEIGHT, PREPARED_STEPS, FINE_STEPS = 4, 20, 4
+"""Steps by them at most: until it is told how firmly a phase function is expected to be smooth, then, and with fine
+derivatives."""
+LIGHTER = 0.5
+"""Share of how firmly that was expected, below which an end that says so has the fit go on."""
+FIRMER, MOST_REFUSED = 4.0, 3
+"""Times as closely that shapes are held where a place was not gone on from, and how often in a row that is done."""
+
+
+def by_prepared(
+    problem: Problem, shots: Sequence[Shot], found: Sequence[Vector]
+) -> tuple[Evaluation, Versions, Vector | None]:
+    """The optimum from where a search has ended.
+
+    Parameters
+    ----------
+    problem, found
+        Of the cheap models, and coordinates where a search of it has ended.
+    shots
+        The images.
+
+    Returns
+    -------
+    Evaluation
+        The optimum.
+    list
+        The models there.
+    numpy.ndarray or None
+        By how much values were still corrected where it has not settled, or differ in another mode of the family that
+        is as likely.
+    """
+    best, versions, weight = _about_search(problem, shots, found)
+    family, moved = shots[0].models.family, None
+    if family is not None and family.ladder.size:
+        best, moved = by_ladder(best, family, weight * MANY_ENOUGH, PREPARED_STEPS)
+    best, versions, unsettled = _by_centres(best, shots, versions, weight)
+    last = accurate_problem(best.problem, shots, best, versions)
+    best = solve(last, best.coordinates, weight * MANY_ENOUGH, FINE_STEPS, damping=0.0)
+    return best, versions, unsettled if moved is None else moved
+
+
+def made_right_at(shot: Shot, medium: Medium, _times: float) -> Prediction:
+    """The image of a medium by what was prepared, made right there, by as many light paths as ever."""
+    fine, _ = shot.models.refined(medium)
+    return fine(medium)
+
+
+def _about_search(
+    problem: Problem, shots: Sequence[Shot], found: Sequence[Vector]
+) -> tuple[Evaluation, Versions, float]:
+    """Where models lead that are prepared about where a search has ended, and again where that leads out of them; these
+    models, and how firmly a phase function is expected to be smooth."""
+    best = by_cost(problem.at(one) for one in found)[0]
+    for _ in range(MOST_PREPARED):
+        near, versions = refined(problem, shots, best, rough=True)
+        near = replace(near, close=(best.coordinates, CLOSE))
+        best = solve(near, best.coordinates, MANY_ENOUGH, STEPS_BEFORE_WEIGHT, damping=0.0)
+        weight = smoothness_at(shots, best, versions)
+        best = solve(believing(near, weight), best.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
+        lighter = smoothness_at(shots, best, versions)
+        if lighter < LIGHTER * weight:  # there was structure since these few steps had not led to the end
+            weight = lighter
+            best = solve(believing(near, weight), best.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
+        if all(
+            fine.holds(medium)
+            for (fine, _), medium in zip(versions, best.media, strict=True)
+            if isinstance(fine, WithPrepared)
+        ):
+            break
+    return replace(best.problem, close=None).at(best.coordinates), versions, weight
+
+
+def _by_centres(
+    best: Evaluation, shots: Sequence[Shot], versions: Versions, weight: float
+) -> tuple[Evaluation, Versions, Vector | None]:
+    """The last place where models were made right, these models, and where it has not settled by how much values were
+    still to be corrected."""
+    centre: Evaluation | None = None
+    close, refused = CLOSE, 0
+    for _ in range(MOST_CENTRES):
+        there = versions_near(shots, best)
+        if centre is not None and _costs_more(best, centre, there):
+            close, refused = FIRMER * max(close, CLOSE), refused + 1
+            if refused == MOST_REFUSED:
+                break
+        else:
+            foretold = _are_foretold(there, versions)
+            settled = foretold and close == 0.0
+            centre, versions, close, refused = best, there, 0.0 if foretold else CLOSE, 0
+            if settled:
+                return centre, versions, None
+        near = accurate_problem(best.problem, shots, centre, versions, rough=True)
+        centre = replace(near, close=None).at(centre.coordinates)
+        held = replace(near, close=(centre.coordinates, close) if close else None)
+        best = solve(held, centre.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
+        best = centre.problem.at(best.coordinates)
+    assert centre is not None
+    return centre, versions, best.row - centre.row
+
+
+def _costs_more(ahead: Evaluation, centre: Evaluation, there: Versions) -> bool:
+    """Whether a place explains less than the one that a fit went from, by models made right at both."""
+    seen = [always(fine(medium).image) for (fine, _), medium in zip(there, ahead.media, strict=True)]
+    return centre.problem.by(seen).at(ahead.coordinates).cost > centre.cost + WORSE
+
+
+def _are_foretold(there: Versions, before: Versions) -> bool:
+    """Whether models' images at their media are what earlier ones said, as far as they are of what was prepared."""
+    return all(
+        one.agrees(earlier)
+        for (one, _), (earlier, _) in zip(there, before, strict=True)
+        if isinstance(one, WithPrepared) and isinstance(earlier, WithPrepared)
+    )
