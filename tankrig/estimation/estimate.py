@@ -53,6 +53,7 @@ from tankrig.estimation.verdict import (
     what_no_phase_describes,
     what_phase_is_shown,
     what_spheres_do,
+    what_was_hardly_told,
     what_was_left_out,
 )
 from tankrig.estimation.versions import Models
@@ -237,15 +238,18 @@ def fit_models(
         if _explains_as_well(other, found):
             found = other
             break
-    if asked.further is None or not (phase.misled or phase.explained < NEARLY_ALL):
+    if asked.further is None or not (phase.misled or phase.undecided or phase.explained < NEARLY_ALL):
         return found
     if beside is not None:
         astray = Astray(scene, {**beside.sd, **(astray.sd if astray else {})})
     instead = phase.instead if phase.misled else None
-    near = None if instead is None else instead.liquid
+    near = instead.liquid if instead is not None else found.medium if phase.undecided else None
     other = _further(observation, scene, scaling, models, progress, misalignment, asked.further, astray, near)
     if instead is not None:
         return _in_place(other, instead.share)
+    if phase.undecided:
+        explains = other.rmse < AS_WELL * found.rmse
+        return replace(other, verdict=f"{what_was_hardly_told()} {other.verdict}") if explains else found
     # From where Henyey–Greenstein's has gone astray no look leads back: what explains far more is begun from anywhere.
     share = 1.0 - (other.rmse / found.rmse) ** 2
     return _in_place(other, share) if share > max(FAR_MORE, phase.explained) else found

@@ -41,8 +41,11 @@ BEYOND, EXPLAINED = 1.5, 0.5
 """Structure over the model's own error from which on, and share of it below which the likeliest cause explains too
 little, for Henyey–Greenstein's σs and g to count as determined: a liquid like Petzold's left .45 % beside .2, of which
 no cause explained more than .35, with g six standard deviations off."""
-BEYOND_DOUBT = 3.0
-"""Logarithm of how many times likelier (20) another phase function is before Henyey–Greenstein's is given up."""
+BEYOND_DOUBT, UNDOUBTED = 3.0, -10.0
+"""Logarithm of how many times likelier (20) another phase function is before Henyey–Greenstein's is given up, and the
+one below which families are not weighed beside it. A free one pays for its sixteen shapes, and families for one to
+three numbers: beads of .2 µm, σs .030, behind glass and surface had .1, −3.2 and −7.9 by three draws of noise with g
+.045 off, twelve standard deviations; liquids of Henyey–Greenstein's there −15 to −21."""
 
 
 def told_early(shot: Shot, looked: Searched, progress: Told) -> Instead | None:
@@ -103,6 +106,11 @@ class PhaseTold:
     def doubted(self) -> bool:
         """Whether structure is left that nothing known explains half of, so that another one may."""
         return self.explained < EXPLAINED
+
+    @property
+    def undecided(self) -> bool:
+        """Whether a residual that is noise by its size leaves another one too likely to be left out."""
+        return not self.misled and self.freed is not None and self.freed.evidence > UNDOUBTED
 
     @property
     def shown(self) -> bool:

@@ -319,6 +319,11 @@ def what_phase_is_shown(evidence: float, shown: bool) -> str:
     )
 
 
+def what_was_hardly_told() -> str:
+    """A sentence before the verdict of a fit that weighs families because the image hardly tells them apart."""
+    return "The image hardly tells Henyey–Greenstein's phase function from others, so families of them were weighed."
+
+
 def _times(evidence: float) -> str:
     """How many times likelier, in words."""
     return f"{math.exp(evidence):.2g} times" if evidence < math.log(1000.0) else "more than a thousand times"
