@@ -15,6 +15,7 @@ from tankrig.estimation.observation import observe
 from tankrig.estimation.phase_answer import Asked, asked_for, rougher
 from tankrig.estimation.phase_doubt import Doubt, PhaseTold
 from tankrig.estimation.phase_families import free
+from tankrig.estimation.phase_instead import Freed
 from tankrig.estimation.phase_result import ANGLES_DEG
 from tankrig.estimation.residual import Cause
 from tankrig.estimation.scaling import Scaling
@@ -210,3 +211,13 @@ def test_noise_of_light_paths_shows_no_phase_function_by_way_of_a_free_gain() ->
     found = tankrig.estimate(observed, scene, "free", "free", noise=noise, phase="hg")
     assert "phase function" not in found.verdict
     assert all(found.identifiable.values()), found.verdict
+
+
+@pytest.mark.parametrize(("evidence", "weighed"), [(2.0, True), (-7.9, True), (-14.6, False)])
+def test_families_are_weighed_unless_henyey_greenstein_is_beyond_doubt(evidence: float, weighed: bool) -> None:
+    """Beads of .2 µm behind glass had −7.9 by one draw of noise, with g twelve standard deviations off; liquids of
+    Henyey–Greenstein's −14.6 and less, and these should not pay for it."""
+    freed = Freed(evidence, np.zeros(3), np.eye(3), np.zeros(1))
+    assert PhaseTold(freed=freed).undecided is weighed
+    assert not PhaseTold(freed=freed, misled=True).undecided
+    assert not PhaseTold().undecided

@@ -11,7 +11,7 @@ from tankrig.estimation.shots import Shot, weighed_problem
 from tankrig.estimation.versions import image_of, is_noisy
 
 Versions = list[tuple[Model, Model]]
-"""Of each image a model, and the one to differentiate."""
+"""A model for each image, and the one whose derivatives are taken."""
 
 
 def refined(problem: Problem, shots: Sequence[Shot], near: Evaluation, rough: bool = False) -> tuple[Problem, Versions]:
@@ -21,7 +21,7 @@ def refined(problem: Problem, shots: Sequence[Shot], near: Evaluation, rough: bo
 
 
 def versions_near(shots: Sequence[Shot], near: Evaluation) -> Versions:
-    """Accurate models for media near some place, each with the one to differentiate."""
+    """Accurate models for media near some place, each with the one whose derivatives are taken."""
     return [shot.models.refined(liquid) for shot, liquid in zip(shots, near.media, strict=True)]
 
 

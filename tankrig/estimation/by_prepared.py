@@ -31,7 +31,7 @@ Vector = NDArray[np.float64]
 
 MOST_PREPARED, MOST_CENTRES = 3, 12
 """Times that models are prepared at most, each about where the last ones led, and that they are then made right at
-another medium: three to six for most liquids."""
+another medium: a two-term liquid of σs .020 behind glass and surface took four."""
 STEPS_BEFORE_WEIGHT, PREPARED_STEPS, FINE_STEPS = 4, 20, 4
 """Steps by them at most: until it is told how firmly a phase function is expected to be smooth, then, and with fine
 derivatives."""

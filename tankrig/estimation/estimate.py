@@ -130,8 +130,8 @@ def estimate(
         "free" (any smooth one), or "any": all but Fournier and Forand's, weighed by their evidence. A `Mie` is what a
         label says, fitted within its accuracy; any other phase function is taken as it is. "mie" and "table" mean the
         scene's. None: the scene's, to begin from. Where it has none, "hg", and "any" where that leaves structure that
-        another phase function explains better than anything else: one to five CPU minutes where light or sight slants,
-        lenses blur or walls send light back.
+        another phase function explains better than anything else, or the image hardly tells that from others: one to
+        seven CPU minutes where light or sight slants, lenses blur or walls send light back.
     nuisance
         What may be off in the set-up, each with its standard deviation, and is fitted along: "z_mm", "y_mm" (light
         moved up, and along y), "tilt_mrad" (light turned about the vertical, towards +y), "scale" (share by which a
@@ -243,7 +243,9 @@ def fit_models(
     if beside is not None:
         astray = Astray(scene, {**beside.sd, **(astray.sd if astray else {})})
     instead = phase.instead if phase.misled else None
-    near = instead.liquid if instead is not None else found.medium if phase.undecided else None
+    near = found.medium if phase.undecided else None
+    if instead is not None:
+        near = instead.liquid
     other = _further(observation, scene, scaling, models, progress, misalignment, asked.further, astray, near)
     if instead is not None:
         return _in_place(other, instead.share)

@@ -260,8 +260,8 @@ def missed_slopes(paths: Followed, high: CheckedOrders, centre: Medium) -> Image
     """What derivatives of orders ≥ 3 lack at a medium where they were made right, by light paths.
 
     What is prepared knows ten moments of p, and what these do only as far as they do it in the media that it was
-    fitted to: derivatives by a free phase function's third to tenth shape are 30 to 100 % off, and 16 lattices tell
-    them to 2 to 7 % in the patterns that its images are made of (two terms of σs .020, two pinholes).
+    fitted to: derivatives by a free phase function's third to tenth shape are 30 to 140 % off, and 16 lattices tell
+    them to 2 to 10 % in the patterns that its images are made of (two terms of σs .020, two pinholes).
 
     Parameters
     ----------
