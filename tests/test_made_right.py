@@ -1,0 +1,86 @@
+"""Fits by models that are made right where each has led: how far they trust them, and whether they have settled."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from tankrig.estimation import by_prepared
+from tankrig.estimation.by_shares import CLOSE
+
+
+@dataclass(frozen=True)
+class Valley:
+    """A problem of one shape, whose real cost is the square of its distance from 1."""
+
+    close: tuple[np.ndarray, float] | None = None
+
+    def at(self, coordinates: np.ndarray) -> "Place":
+        return Place(self, coordinates)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a fit is."""
+
+    problem: Valley
+    coordinates: np.ndarray
+
+    @property
+    def row(self) -> np.ndarray:
+        return self.coordinates
+
+    @property
+    def cost(self) -> float:
+        return 100.0 * float((self.coordinates[0] - 1.0) ** 2)
+
+
+def led(monkeypatch: pytest.MonkeyPatch, promise: Callable[[float], float]) -> tuple[Place, Any, list[float], float]:
+    """The end of a fit from 0 that derivatives lead by so much where nothing is held; by how much it was still to be
+    corrected; how closely shapes were held each time; and how far from the truth the worst place was that it went on
+    from."""
+    held: list[float] = []
+
+    def solved(problem: Valley, start: np.ndarray, *_: object, **__: object) -> Place:
+        close = problem.close[1] if problem.close else 0.0
+        held.append(close)
+        return problem.at(start + promise(float(start[0])) / (1.0 + close))
+
+    gone_on: list[float] = []
+
+    def accurate(_: Valley, __: object, centre: Place, *___: object, **____: object) -> Valley:
+        gone_on.append(abs(float(centre.coordinates[0]) - 1.0))
+        return Valley()
+
+    monkeypatch.setattr(by_prepared, "versions_near", lambda _, best: [best])
+    monkeypatch.setattr(by_prepared, "accurate_problem", accurate)
+    monkeypatch.setattr(by_prepared, "solve", solved)
+    monkeypatch.setattr(by_prepared, "_costs_more", lambda ahead, centre, _: ahead.cost > centre.cost + 3.0)
+    monkeypatch.setattr(
+        by_prepared, "_are_foretold", lambda there, before: abs(float((there[0].row - before[0].row)[0])) < 0.02
+    )
+    start = Valley().at(np.zeros(1))
+    end, _, moved = by_prepared._by_centres(  # noqa: SLF001
+        cast(Any, start), [], cast(Any, [Valley().at(np.full(1, -1.0))]), 1.0
+    )
+    return cast(Any, end), moved, held, max(gone_on)
+
+
+def test_a_fit_whose_derivatives_promise_too_much_gets_there_in_shorter_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By derivatives that led 14 times too far it went to and fro, and its end explained less than its beginning."""
+    end, moved, held, worst = led(monkeypatch, lambda at: (14.0 if abs(at - 1.0) > 0.5 else 1.0) * (1.0 - at))
+    assert held[:2] == [CLOSE, by_prepared.FIRMER * CLOSE]
+    assert worst == 1.0
+    assert held[-1] == 0.0
+    assert abs(float(end.coordinates[0]) - 1.0) < 0.05
+    assert moved is None
+
+
+def test_a_fit_that_nothing_bears_out_stays_and_says_that_it_has_not_settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    end, moved, held, _ = led(monkeypatch, lambda _: -60.0)
+    np.testing.assert_array_equal(end.coordinates, 0.0)
+    assert len(held) == by_prepared.MOST_REFUSED
+    assert moved is not None
+    assert float(np.abs(moved).max()) > 0.1
