@@ -57,14 +57,12 @@ def led(monkeypatch: pytest.MonkeyPatch, promise: Callable[[float], float]) -> t
     monkeypatch.setattr(by_prepared, "versions_near", lambda _, best: [best])
     monkeypatch.setattr(by_prepared, "accurate_problem", accurate)
     monkeypatch.setattr(by_prepared, "solve", solved)
-    monkeypatch.setattr(by_prepared, "_costs_more", lambda ahead, centre, _: ahead.cost > centre.cost + 3.0)
+    monkeypatch.setattr(by_prepared, "costs_more", lambda ahead, centre, _: ahead.cost > centre.cost + 3.0)
     monkeypatch.setattr(
-        by_prepared, "_are_foretold", lambda there, before: abs(float((there[0].row - before[0].row)[0])) < 0.02
+        by_prepared, "are_foretold", lambda there, before: abs(float((there[0].row - before[0].row)[0])) < 0.02
     )
     start = Valley().at(np.zeros(1))
-    end, _, moved = by_prepared._by_centres(  # noqa: SLF001
-        cast(Any, start), [], cast(Any, [Valley().at(np.full(1, -1.0))]), 1.0
-    )
+    end, _, moved = by_prepared.by_centres(cast(Any, start), [], cast(Any, [Valley().at(np.full(1, -1.0))]), 1.0)
     return cast(Any, end), moved, held, max(gone_on)
 
 

@@ -67,7 +67,7 @@ def by_prepared(
     family, moved = shots[0].models.family, None
     if family is not None and family.ladder.size:
         best, moved = by_ladder(best, family, weight * MANY_ENOUGH, PREPARED_STEPS)
-    best, versions, unsettled = _by_centres(best, shots, versions, weight)
+    best, versions, unsettled = by_centres(best, shots, versions, weight)
     last = accurate_problem(best.problem, shots, best, versions)
     best = solve(last, best.coordinates, weight * MANY_ENOUGH, FINE_STEPS, damping=0.0)
     return best, versions, unsettled if moved is None else moved
@@ -104,7 +104,7 @@ def _about_search(
     return replace(best.problem, close=None).at(best.coordinates), versions, weight
 
 
-def _by_centres(
+def by_centres(
     best: Evaluation, shots: Sequence[Shot], versions: Versions, weight: float
 ) -> tuple[Evaluation, Versions, Vector | None]:
     """The last place where models were made right, these models, and where it has not settled by how much values were
@@ -113,12 +113,12 @@ def _by_centres(
     close, refused = CLOSE, 0
     for _ in range(MOST_CENTRES):
         there = versions_near(shots, best)
-        if centre is not None and _costs_more(best, centre, there):
+        if centre is not None and costs_more(best, centre, there):
             close, refused = FIRMER * max(close, CLOSE), refused + 1
             if refused == MOST_REFUSED:
                 break
         else:
-            foretold = _are_foretold(there, versions)
+            foretold = are_foretold(there, versions)
             settled = foretold and close == 0.0
             centre, versions, close, refused = best, there, 0.0 if foretold else CLOSE, 0
             if settled:
@@ -132,13 +132,13 @@ def _by_centres(
     return centre, versions, best.row - centre.row
 
 
-def _costs_more(ahead: Evaluation, centre: Evaluation, there: Versions) -> bool:
+def costs_more(ahead: Evaluation, centre: Evaluation, there: Versions) -> bool:
     """Whether a place explains less than the one that a fit went from, by models made right at both."""
     seen = [always(fine(medium).image) for (fine, _), medium in zip(there, ahead.media, strict=True)]
     return centre.problem.by(seen).at(ahead.coordinates).cost > centre.cost + WORSE
 
 
-def _are_foretold(there: Versions, before: Versions) -> bool:
+def are_foretold(there: Versions, before: Versions) -> bool:
     """Whether models' images at their media are what earlier ones said, as far as they are of what was prepared."""
     return all(
         one.agrees(earlier)
