@@ -37,7 +37,7 @@ BENDING = 0.2
 """Share of itself by which a blur is changed to see how that changes the image."""
 LENS_MM = 10.0
 """Width of the projector's lens that stands for any."""
-FLOOR, FACE_LATTICES, SEED = 0.05, 4, 7
+FLOOR, FACE_LATTICES, SEED = 0.05, 8, 7
 """Reflectance that stands for any; lattices of paths for a pattern, and their seed."""
 ROUGH, BATCHES = 0.05, 4
 """Tolerance and lattices of the image that a dark picture's light makes."""
@@ -496,7 +496,7 @@ def _by_faces(scene: Scene, name: str, face: Face) -> Array:
     """What one face sends back, the others as described: order 1 and more."""
     from tankrig.light.tank import by_faces_within, paths_by_faces
 
-    shown = paths_by_faces if face.kind == "diffuse" else by_faces_within
+    shown = partial(paths_by_faces, diffuse_only=True) if face.kind == "diffuse" else by_faces_within
     faces = replace(scene.tank.faces, **{name: face})
     without = replace(scene.tank.faces, **{name: Face()})
     lit, dark = (replace(scene, tank=replace(scene.tank, faces=one)) for one in (faces, without))

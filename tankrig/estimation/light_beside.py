@@ -7,6 +7,7 @@ few per cent, so that few paths do, and one liquid's image and derivatives do fo
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -224,7 +225,8 @@ def _by_way_of(scene: Scene, with_it: Faces, without: Faces, rough: bool, lattic
     from tankrig.light.tank import by_faces_within, paths_by_faces
 
     lit, dark = (replace(scene, tank=replace(scene.tank, faces=faces)) for faces in (with_it, without))
-    shown = paths_by_faces if _clear(with_it) == _clear(without) else by_faces_within
+    # What clear faces do beside a diffuse one is in both, and its noise would pass for light of the diffuse one.
+    shown = partial(paths_by_faces, diffuse_only=True) if _clear(with_it) == _clear(without) else by_faces_within
     length_mm = max(scene.tank.size_mm)
     few = min(lattices, ROUGH_BY_FACES if any(_clear(with_it)) else FAINT_ROUGH)
 

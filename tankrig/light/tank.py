@@ -163,18 +163,21 @@ def by_faces_within(described: Scene, seed: int, lattices: int) -> tuple[Array, 
     return once_sent_back(described) + image, stderr
 
 
-def paths_by_faces(described: Scene, seed: int, lattices: int) -> tuple[Array, Array]:
-    """The same without order 1 by way of clear faces, which diffuse ones do not change."""
+def paths_by_faces(
+    described: Scene, seed: int, lattices: int, diffuse_only: bool = False
+) -> tuple[Array, Array]:  # fmt: skip
+    """The same without order 1 by way of clear faces, which diffuse ones do not change; or of diffuse faces alone."""
     from tankrig.light.walls.paths import wall_images
 
-    if described.tank.faces.dark:
+    faces = described.tank.faces
+    if faces.dark or (diffuse_only and all(one.kind != "diffuse" for one in faces.all)):
         return np.zeros(described.camera.shape), np.zeros(described.camera.shape)
     scene = entering(described, fine=False)
     grid = CellGrid.of(scene)
     bins = np.zeros(MOST_ORDERS_OF_A_PATTERN + 1, np.int64)
     batches = np.array(
         [
-            wall_images(scene, grid, (seed, batch), bins, MOST_ORDERS_OF_A_PATTERN, 1e-3, 1)[0]
+            wall_images(scene, grid, (seed, batch), bins, MOST_ORDERS_OF_A_PATTERN, 1e-3, 1, diffuse_only)[0]
             for batch in range(lattices)
         ]
     )  # fmt: skip

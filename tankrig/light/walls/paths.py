@@ -53,16 +53,18 @@ NONE = -1
 
 
 class CellImages(NamedTuple):
-    """What is added to: images on cells of the tank's surface, and which of them the light of an order goes to."""
+    """What is added to: images on cells of the tank's surface, and which of them the light of an order goes to; all of
+    it, or only what has met a diffuse face."""
 
     images: Array
     bins: Bins
     cell_mm: tuple[float, float]
+    diffuse_only: bool
 
 
 def wall_images(
     scene: Scene, grid: CellGrid, seed: tuple[int, int], bins: Bins, highest: int, faintest: float,
-    lattices: int = LATTICES,
+    lattices: int = LATTICES, diffuse_only: bool = False,
 ) -> Array:  # fmt: skip
     """What faces add to the image, but for order 1 by way of clear ones, W/mm²/sr.
 
@@ -83,6 +85,8 @@ def wall_images(
         that end at one liquid and not at the next one are noise that grows as the liquids come near.
     lattices
         To average.
+    diffuse_only
+        Whether only light that has met a diffuse face counts: what such a face adds, without the noise of the others.
 
     Returns
     -------
@@ -93,11 +97,17 @@ def wall_images(
     power = np.array([beam.power for beam in beams])
     table = np.column_stack([np.array([(*beam.y_mm, *beam.z_mm) for beam in beams]), np.cumsum(power) / power.sum()])
     geometry, water = geometry_of(scene), water_of(scene.medium)
-    tank = ReflectingTank(geometry, face_table(scene.tank), steepest_sights(geometry))
+    faces = face_table(scene.tank)
+    kept = np.ones(len(faces))
+    if diffuse_only:  # as many paths go to such faces as if they sent back all light, and keep what these do send back
+        scatters = faces[:, 0] == DIFFUSE
+        kept[scatters], faces[scatters, 1] = faces[scatters, 1], 1.0
+    tank = ReflectingTank(geometry, faces, steepest_sights(geometry))
+    seen = CellImages(cells, bins, grid.cell_mm, diffuse_only)
     for number in range(lattices):
         shifted = LARGE.shifted((seed[0] + WALLS_APART, seed[1] * lattices + number))
         points = Points(shifted, LARGE.points)
-        _trace(CellImages(cells, bins, grid.cell_mm), tank, water, table, points, highest, faintest)
+        _trace(seen, tank, water, table, points, highest, faintest, kept)
     return cell_averages(cells * (float(power.sum()) / (lattices * LARGE.points * grid.cell_mm[0] * grid.cell_mm[1])))
 
 
@@ -107,16 +117,18 @@ WALLS_APART = 2**30
 
 @kernel
 def _trace(
-    seen: CellImages, tank: ReflectingTank, water: Water, beams: Array, points: Points, highest: int, faintest: float
-) -> None:
-    """Follow the paths of a lattice; `beams` are edges and the share of the power up to and including each.
+    seen: CellImages, tank: ReflectingTank, water: Water, beams: Array, points: Points, highest: int, faintest: float,
+    kept: Array,
+) -> None:  # fmt: skip
+    """Follow the paths of a lattice; `beams` are edges and the share of the power up to and including each, `kept` the
+    share of its light that is left where it meets a diffuse face.
 
         I = 1/N Σ_paths Σ_events w p(cos θ) R e^{−σt s} T J / (area of a cell),   w ← w (chance of an event) ϖ
 
     with s the way to the surface, R what faces send back on it, and T J `seen_from`'s factor; diffuse faces have
     cos θ/π for p, and no ϖ.
     """
-    cells, bins, cell_mm = seen
+    cells, bins, cell_mm, diffuse_only = seen
     sigma_t, albedo, phase = water
     lattice, count = points
     geometry = tank.geometry
@@ -140,6 +152,7 @@ def _trace(
             v = coordinate(point, START_COORDINATES + (flights - 1) * FLIGHT_COORDINATES + 1, lattice)
             if face != NONE:
                 met = diffuse = True
+                weight *= kept[face]
                 image = cells[bins[min(order, bins.size - 1)]]
                 _show(image, cell_mm, tank, water, Ray(x, y, z, dx, dy, dz), weight, True, face)
                 dx, dy, dz = _lambert(face, u, v)
@@ -148,7 +161,7 @@ def _trace(
                 if order > highest:  # what has been scattered so often still goes to faces
                     break
                 weight *= albedo
-                if order >= 2 or diffuse:
+                if diffuse or (order >= 2 and not diffuse_only):
                     image = cells[bins[min(order, bins.size - 1)]]
                     _show(image, cell_mm, tank, water, Ray(x, y, z, dx, dy, dz), weight, met, NONE)
                 ex, ey, ez = across(dx, dz) if abs(dx) + abs(dz) > 1e-9 else (1.0, 0.0, 0.0)
