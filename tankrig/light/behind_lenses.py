@@ -38,9 +38,14 @@ class BehindLenses:
         return CameraLens.of(self.scene)
 
     @cached_property
+    def seen_by(self) -> Scene:
+        """With an ideal camera that sees as far as light comes from."""
+        return self.scene if self.lens is None else self.lens.wide
+
+    @cached_property
     def of_paths(self) -> Scene:
-        """Sharp beams, and an ideal camera that sees as far as light comes from."""
-        return entering(self.scene if self.lens is None else self.lens.wide, fine=False)
+        """The same with sharp beams."""
+        return entering(self.seen_by, fine=False)
 
     def once(self, media: Sequence[Medium]) -> Array:
         """(media, rows, columns) of order 1, by way of clear faces too."""
@@ -48,15 +53,14 @@ class BehindLenses:
 
     def twice(self, media: Sequence[Medium], tolerance: float, others: Sequence[PhaseFunction] = ()) -> Array:
         """(media, rows, columns) of order 2, or (1 + others, …); as `tankrig.light.double.double_scattering_of`."""
-        scene = self.scene if self.lens is None else self.lens.wide
-        return self.seen(twice_of(scene, media, tolerance, others=others))
+        return self.seen(twice_of(self.seen_by, media, tolerance, others=others))
 
     def by_faces(self, seed: int, lattices: int) -> Array:
         """(rows, columns) of what faces send back besides, in all orders, by so many lattices of paths."""
-        return self.seen(paths_by_faces(self.scene if self.lens is None else self.lens.wide, seed, lattices)[0])
+        return self.seen(paths_by_faces(self.seen_by, seed, lattices)[0])
 
     def seen(self, images: Array) -> Array:
-        """(…, rows, columns) of the camera, of images by the camera of `of_paths`."""
+        """(…, rows, columns) of the camera, of images by that of `seen_by`."""
         lens = self.lens
         if lens is None or images.size == 0:
             return images if lens is None else np.zeros((*images.shape[:-2], *self.scene.camera.shape))
@@ -65,7 +69,7 @@ class BehindLenses:
         return seen.reshape(*images.shape[:-2], *seen.shape[-2:])
 
     def error_seen(self, stderr: Array) -> Array:
-        """(rows, columns) standard error of what is seen at most, of that of an image by the camera of `of_paths`."""
+        """(rows, columns) standard error of what is seen at most, of that of an image by that of `seen_by`."""
         return stderr if self.lens is None else np.sqrt(self.lens.variance_of_wide(np.square(stderr)))
 
     def holding(self, medium: Medium) -> "BehindLenses":
