@@ -2,18 +2,21 @@
 
 python tests/bench_trials.py --seeds 101-110 --out trials
 
-Prints a line for each bench as soon as it is done, and the figures asked for of all of them at the end. A folder that
-holds finished benches is gone on with: they are read, the others are walked, and what was interrupted goes on.
+Prints a line for each bench as soon as it is done, and at the end the figures asked for of all of them, and by how much
+what was calibrated is off. A folder that holds finished benches is gone on with: they are read, the others are walked,
+and what was interrupted goes on.
 """
 
 import argparse
 import json
+import math
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 if __package__ in (None, ""):
@@ -44,6 +47,8 @@ class Trial:
         From the last frame of all to the series of all doses, s; NaN likewise.
     wall_s, cpu_s
         What the commands took together.
+    measured
+        Of each quantity that was calibrated, by how many stated standard deviations it is off.
     error
         What ended it, if anything did.
     """
@@ -56,6 +61,7 @@ class Trial:
     all_s: float = float("nan")
     wall_s: float = float("nan")
     cpu_s: float = float("nan")
+    measured: Mapping[str, float] = field(default_factory=dict)
     error: str = ""
 
     @property
@@ -116,6 +122,7 @@ def _trial(seed: int, found: dict[str, Any], run: Path) -> Trial:
         all_s,
         sum(part["wall_s"] for part in found["parts"]),
         sum(part["cpu_s"] for part in found["parts"]),
+        {one["what"]: (one["measured"] - one["truth"]) / one["sd"] for one in found["geometry"] if one["sd"]},
     )
 
 
@@ -170,6 +177,19 @@ def summary(trials: list[Trial]) -> str:
     )
 
 
+def of_calibrations(trials: list[Trial]) -> list[str]:
+    """What was calibrated, pooled over benches, a line each."""
+    by_name: dict[str, list[float]] = {}
+    for one in trials:
+        for name, off in one.measured.items():
+            by_name.setdefault(name, []).append(off)
+    return [
+        f"{name:<28} rms {math.sqrt(fmean(z * z for z in found)):4.2f} sd, mean {fmean(found):+5.2f}, "
+        f"worst {max(map(abs, found)):3.1f} ({len(found)} benches)"
+        for name, found in by_name.items()
+    ]
+
+
 def seeds_in(text: str) -> list[int]:
     """Numbers such as 3,5,101-110.
 
@@ -198,6 +218,7 @@ def main() -> int:
         trials.append(trial)
         print(trial, flush=True)
     print(summary(trials))
+    print(*of_calibrations(trials), sep="\n")
     return 0
 
 
