@@ -493,13 +493,8 @@ def _blurred(scene: Scene, image: Image, sigma_mm: float) -> Array:
 
 @lru_cache(maxsize=KEPT)
 def _by_faces(scene: Scene, name: str, face: Face) -> Array:
-    """What one face sends back, the others as described: order 1 and more, as the camera's lens shows it."""
-    from tankrig.light.behind_lenses import BehindLenses
-    from tankrig.light.tank import by_faces_within, paths_by_faces
+    """What one face sends back, the others as described: order 1 and more, as the camera shows it."""
+    from tankrig.light.behind_lenses import more_by_faces
 
-    shown = partial(paths_by_faces, diffuse_only=True) if face.kind == "diffuse" else by_faces_within
-    faces = replace(scene.tank.faces, **{name: face})
-    without = replace(scene.tank.faces, **{name: Face()})
-    lens = BehindLenses(scene)
-    lit, dark = (replace(lens.seen_by, tank=replace(scene.tank, faces=one)) for one in (faces, without))
-    return lens.seen(shown(lit, SEED, FACE_LATTICES)[0] - shown(dark, SEED, FACE_LATTICES)[0])
+    faces, without = (replace(scene.tank.faces, **{name: one}) for one in (face, Face()))
+    return more_by_faces(scene, faces, without, SEED, FACE_LATTICES)[0]

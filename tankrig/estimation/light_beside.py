@@ -7,7 +7,6 @@ few per cent, so that few paths do, and one liquid's image and derivatives do fo
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -172,14 +171,9 @@ def described_beside(scene: Scene, rough: bool = False) -> tuple[Scene, Beside]:
     if light.black_level > 0.0:
         parts.append((light.black_level, _entered(replace(scene, projector=bare), (all_over(scene),), rough)))
     if not tank.faces.dark:
-        few = ROUGH_BY_FACES if any(_clear(tank.faces)) else FAINT_ROUGH
+        few = ROUGH_BY_FACES if any(tank.faces.clear) else FAINT_ROUGH
         parts.append((1.0, _by_way_of(scene, tank.faces, ALL_BLACK, rough, few if rough else BY_FACES)))
     return replace(scene, tank=replace(tank, faces=ALL_BLACK), projector=bare), Beside(tuple(parts))
-
-
-def _clear(faces: Faces) -> list[Face | None]:
-    """Faces by way of which light goes on as it came, in their places."""
-    return [face if face.kind in ("glass", "clear") else None for face in faces.all]
 
 
 def all_over(scene: Scene) -> Beam:
@@ -222,17 +216,13 @@ def _sent_back(scene: Scene, name: str, face: Face, rough: bool, lattices: int) 
 
 def _by_way_of(scene: Scene, with_it: Faces, without: Faces, rough: bool, lattices: int) -> Expanded:
     """The image of light by way of faces, less that by way of others."""
-    from tankrig.light.tank import by_faces_within, paths_by_faces
+    from tankrig.light.behind_lenses import more_by_faces
 
-    lit, dark = (replace(scene, tank=replace(scene.tank, faces=faces)) for faces in (with_it, without))
-    # What clear faces do beside a diffuse one is in both, and its noise would pass for light of the diffuse one.
-    shown = partial(paths_by_faces, diffuse_only=True) if _clear(with_it) == _clear(without) else by_faces_within
     length_mm = max(scene.tank.size_mm)
-    few = min(lattices, ROUGH_BY_FACES if any(_clear(with_it)) else FAINT_ROUGH)
+    few = min(lattices, ROUGH_BY_FACES if any(with_it.clear) else FAINT_ROUGH)
 
     def image(liquid: Medium) -> Array:
-        one, other = (replace(way, medium=liquid) for way in (lit, dark))
-        return shown(one, SEED, few)[0] - shown(other, SEED, few)[0]
+        return more_by_faces(replace(scene, medium=liquid), with_it, without, SEED, few)[0]
 
     def told(liquid: Medium) -> Told:
         here, stderr = image(liquid), np.zeros(scene.camera.shape)
@@ -244,8 +234,7 @@ def _by_way_of(scene: Scene, with_it: Faces, without: Faces, rough: bool, lattic
         ahead = [replace(liquid, **{one: getattr(liquid, one) + step}) for one, step in steps.items()]
         slopes = [(image(one) - here) / step for one, step in zip(ahead, steps.values(), strict=True)]
         if lattices > few:
-            (here, one), (other, two) = (shown(replace(way, medium=liquid), SEED, lattices) for way in (lit, dark))
-            here, stderr = here - other, np.hypot(one, two)
+            here, stderr = more_by_faces(replace(scene, medium=liquid), with_it, without, SEED, lattices)
         return here, np.stack(slopes), stderr
 
     return Expanded(told, length_mm, ROUGHLY_NEAR if rough else NEAR)

@@ -5,7 +5,7 @@ Light that clear faces of the tank send back is part of order 1; what else faces
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from tankrig.light.entering import entering
 from tankrig.light.leaving import CameraLens
 from tankrig.light.order_one import once_seen
-from tankrig.light.tank import paths_by_faces, twice_of
+from tankrig.light.tank import by_faces_within, paths_by_faces, twice_of
 from tankrig.scene import Medium, Scene
+from tankrig.scene.optics import Faces
 from tankrig.scene.phase_table import PhaseFunction
 
 Array = NDArray[np.float64]
@@ -75,3 +76,31 @@ class BehindLenses:
     def holding(self, medium: Medium) -> "BehindLenses":
         """The same with another liquid."""
         return BehindLenses(replace(self.scene, medium=medium))
+
+
+def more_by_faces(
+    scene: Scene, with_it: Faces, without: Faces, seed: int, lattices: int
+) -> tuple[Array, Array]:  # fmt: skip
+    """What some faces send back more than others do, as the camera shows it, and its standard error by pixel.
+
+    Parameters
+    ----------
+    scene
+        Any; its own faces do not matter.
+    with_it, without
+        Faces whose light counts, and whose light is taken off.
+    seed, lattices
+        Of the light paths.
+
+    Notes
+    -----
+    Where clear faces are the same, only light that has met a diffuse one counts: what clear ones show besides is in
+    both, and its noise would pass for light of the diffuse one.
+    """
+    behind = BehindLenses(scene)
+    shown = partial(paths_by_faces, diffuse_only=True) if with_it.clear == without.clear else by_faces_within
+    (lit, one), (dark, other) = (
+        shown(replace(behind.seen_by, tank=replace(scene.tank, faces=faces)), seed, lattices)
+        for faces in (with_it, without)
+    )
+    return behind.seen(lit - dark), behind.error_seen(np.hypot(one, other))

@@ -187,6 +187,11 @@ class Faces:
         return self.entry, self.far, self.left, self.right, self.floor
 
     @property
+    def clear(self) -> tuple[Face | None, ...]:
+        """Those by way of which light goes on as it came, in their places; None in the others'."""
+        return tuple(face if face.kind in ("glass", "clear") else None for face in self.all)
+
+    @property
     def dark(self) -> bool:
         """Whether no light comes back from any."""
         return all(face.dark for face in self.all)
