@@ -205,6 +205,7 @@ def mixed(answers: Sequence[Scattering], likely: Sequence[float]) -> Scattering:
         beta=_mixed_curve(weight, [one.beta for one in answers if one.beta is not None]),
         at_right_angle=_mixed(weight, [one.at_right_angle for one in answers]),
         reduced=_mixed(weight, [one.reduced for one in answers]),
+        outside_cone=_mixed(weight, [one.outside_cone for one in answers]),
         families=shares,
     )  # fmt: skip
 

@@ -34,6 +34,7 @@ from tankrig.estimation.phase_families import (
     two_term,
 )
 from tankrig.estimation.phase_result import Scattering, scattering_of
+from tankrig.estimation.polydisperse import polydisperse
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.spheres import likely, spheres
 from tankrig.scene import Medium
@@ -158,7 +159,7 @@ class Weighed:
 def families(score: Score, freely: Weighed) -> list[Weighed]:
     """What all stiff families say with each of the discrepancies, and spheres, beside the free family's answer."""
     near, found, members = freely.liquid, [], []
-    for family in (henyey_greenstein(), reynolds_mccormick(), two_term()):
+    for family in (henyey_greenstein(), reynolds_mccormick(), two_term(), polydisperse()):
         own = [_family(score, family, near, family.like(near.g), off) for off in DISCREPANCIES]
         members += [amplitudes_of(family.phase(one.own).density(PLACES), float(score.at[2])) for one in own]
         found += own
@@ -180,8 +181,11 @@ def of_spheres(score: Score, freely: Weighed, enough: float) -> list[Weighed]:
 
 
 def about_spheres(score: Score, liquid: Medium, own: Array) -> list[Weighed]:
-    """What spheres say next to an exact image of them, at coordinates of their own, by each of `HARDLY`."""
-    return [_family(score, spheres(), liquid, own, off) for off in HARDLY]
+    """What spheres say next to an exact image of them, at coordinates of their own, by each of `HARDLY`; and particles
+    of many sizes, which emulsions are besides."""
+    many = polydisperse()
+    found = [_family(score, spheres(), liquid, own, off) for off in HARDLY]
+    return found + [_family(score, many, liquid, many.like(liquid.g), off) for off in DISCREPANCIES]
 
 
 def _off(score: Score, amplitudes: Array) -> Array:

@@ -17,7 +17,9 @@ ANGLES_DEG = np.array([0.0, 2.0, 5.0, *np.arange(10.0, 181.0, 5.0)])
 PER_M = 1000.0
 """From 1/mm to 1/m."""
 RIGHT_ANGLE = int(np.flatnonzero(ANGLES_DEG == 90.0)[0])
-
+CONE_DEG = 5.0
+"""What turns by less stays in its beam, and passes for light that was not scattered: how much a liquid scatters there
+no image tells, only how smooth p is expected to be. Natural waters scatter a quarter to a half of all light so."""
 
 MOST_LOGARITHM = 300.0
 """Width of a band at most, as a logarithm: what is not known at all has one without end, and numbers do not."""
@@ -71,6 +73,9 @@ class Scattering:
         What the family describes the phase function by, as name: (value, standard deviation).
     families
         How much of the answer each family has, by its name; they add up to 1.
+    outside_cone
+        σs in 1/mm of what is scattered by more than `CONE_DEG`, which images tell whatever p is within it, and its
+        standard deviation.
     beta
         Volume scattering function σs p in 1/(m sr), with the standard deviation of its logarithm; of ink, per ml. It
         is as absolute as σs, which comes from how light fades and spreads and needs no known gain.
@@ -83,6 +88,7 @@ class Scattering:
     curve: PhaseCurve
     at_right_angle: tuple[float, float]
     reduced: tuple[float, float]
+    outside_cone: tuple[float, float]
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     families: Mapping[str, float] = field(default_factory=dict)
     beta: PhaseCurve | None = None
@@ -105,19 +111,19 @@ def scattering_of(coefficients: Array, coordinates: Array, spread: Array, family
     """
     sigma_a, sigma_s = (float(one) for one in coefficients)
     liquid = Medium(sigma_a, sigma_s, phase=family.phase(coordinates))
-    log, by_coordinates = ln_curve(family, coordinates)
-    of_curve = np.hstack([np.zeros((log.size, 2)), by_coordinates])
-    of_coefficients = coefficients_by(family, coordinates)
+    values, slopes = _read_off(family, coordinates)
+    log, mean_cosine, outside = values[:-2], float(values[-2]), sigma_s * math.exp(values[-1])
+    of_values = np.hstack([np.zeros((values.size, 2)), slopes])
+    of_coefficients = np.vstack([np.eye(2, 2 + coordinates.size), of_values[-2]])
     covariance = of_coefficients @ spread @ of_coefficients.T
-    seen = sigma_s * math.exp(log[RIGHT_ANGLE])
-    of_seen = seen * of_curve[RIGHT_ANGLE]
-    of_seen[1] += seen / sigma_s
-    of_beta = of_curve.copy()
+    of_beta = of_values.copy()  # and of the logarithm of σs times whatever else is a logarithm
     of_beta[:, 1] += 1.0 / sigma_s
+    seen, of_curve = sigma_s * math.exp(log[RIGHT_ANGLE]), of_values[:-2]
     curve = PhaseCurve(ANGLES_DEG, np.exp(log), _sds(of_curve, spread))
-    beta = PhaseCurve(ANGLES_DEG, PER_M * sigma_s * curve.value, _sds(of_beta, spread))
+    beta = PhaseCurve(ANGLES_DEG, PER_M * sigma_s * curve.value, _sds(of_beta[:-2], spread))
     return Scattering(
-        liquid, covariance, curve, (seen, _sd(of_seen, spread)), reduced_of(sigma_s, liquid.g, covariance),
+        liquid, covariance, curve, (seen, _sd(seen * of_beta[RIGHT_ANGLE], spread)),
+        reduced_of(sigma_s, mean_cosine, covariance), (outside, _sd(outside * of_beta[-1], spread)),
         _parameters(family, coordinates, spread[2:, 2:]), {family.name: 1.0}, beta,
     )  # fmt: skip
 
@@ -138,14 +144,17 @@ def reduced_of(sigma_s: float, cosine: float, covariance: Array) -> tuple[float,
     return sigma_s * (1.0 - cosine), _sd(np.array([0.0, 1.0 - cosine, -sigma_s]), covariance)
 
 
-def ln_curve(family: Family, coordinates: Array) -> tuple[Array, Array]:
-    """(n,) ln p at `ANGLES_DEG`, and (n, k) its derivatives by the coordinates."""
-    cosines = np.cos(np.radians(ANGLES_DEG))
+def _read_off(family: Family, coordinates: Array) -> tuple[Array, Array]:
+    """(n + 2,) ln p at `ANGLES_DEG`, the mean cosine and the logarithm of the share that turns by more than `CONE_DEG`,
+    and (n + 2, k) their derivatives by the coordinates."""
+    cosines, cone = np.cos(np.radians(ANGLES_DEG)), np.cos(np.radians([CONE_DEG]))
 
-    def log(at: Array) -> Array:
-        return np.log(np.maximum(family.phase(at).at(cosines), 1e-300))
+    def read_off(at: Array) -> Array:
+        phase = family.phase(at)
+        log = np.log(np.maximum(phase.at(cosines), 1e-300))
+        return np.concatenate([log, [phase.mean_cosine], np.log1p(-phase.share_within(cone))])
 
-    return log(coordinates), _by_coordinates(log, family, coordinates)
+    return read_off(coordinates), _by_coordinates(read_off, family, coordinates)
 
 
 def _parameters(family: Family, coordinates: Array, spread: Array) -> dict[str, tuple[float, float]]:

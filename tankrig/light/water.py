@@ -24,3 +24,8 @@ def water_of(medium: Medium) -> Water:
     0.75
     """
     return Water(float(medium.sigma_t), float(medium.albedo), medium.phase_function.record)
+
+
+def water_for_paths(medium: Medium) -> Water:
+    """A medium for kernels that follow paths, see `tankrig.scene.phase_table.PhaseFunction.path_record`."""
+    return water_of(medium)._replace(phase=medium.phase_function.path_record)

@@ -34,8 +34,10 @@ class PhaseFound:
     ----------
     angle_deg, value, sd
         The phase function: p in 1/sr at scattering angles, and the standard deviation of ln p.
-    at_right_angle, reduced
-        σs p(90°) and σs (1 − mean cosine), each with its standard deviation.
+    at_right_angle, reduced, outside_cone
+        σs p(90°), σs (1 − mean cosine), and σs of what is scattered by more than
+        `tankrig.estimation.phase_result.CONE_DEG`, each with its standard deviation; the last None in journals older
+        than it.
     parameters
         What the family describes p by, as name: (value, standard deviation).
     families
@@ -49,6 +51,7 @@ class PhaseFound:
     reduced: tuple[float, float]
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     families: Mapping[str, float] = field(default_factory=dict)
+    outside_cone: tuple[float, float] | None = None
 
     @classmethod
     def of(cls, found: Scattering | None) -> "PhaseFound | None":
@@ -58,7 +61,7 @@ class PhaseFound:
         curve = found.curve
         return cls(
             tuple(curve.angle_deg.tolist()), tuple(curve.value.tolist()), tuple(curve.sd.tolist()),
-            found.at_right_angle, found.reduced, dict(found.parameters), dict(found.families),
+            found.at_right_angle, found.reduced, dict(found.parameters), dict(found.families), found.outside_cone,
         )  # fmt: skip
 
     @classmethod
@@ -66,7 +69,11 @@ class PhaseFound:
         """As a journal's line has it."""
         known = {name: tuple(fields[name]) for name in ("angle_deg", "value", "sd", "at_right_angle", "reduced")}
         parameters = {name: (value, sd) for name, (value, sd) in fields.get("parameters", {}).items()}
-        return cls(**known, parameters=parameters, families=dict(fields.get("families", {})))
+        outside = fields.get("outside_cone")
+        return cls(
+            **known, parameters=parameters, families=dict(fields.get("families", {})),
+            outside_cone=None if outside is None else tuple(outside),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -367,9 +367,14 @@ def _numbers(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "E
 
 def _scattering_numbers(scattering: "Scattering") -> dict[str, Any]:
     """Of the phase function: what it is described by, its curve with a band, and what follows from it."""
+    from tankrig.estimation.phase_result import CONE_DEG
+
     curve = scattering.curve
     low, high = curve.band(LEVEL)
-    pairs = {"sigma_s_p90": scattering.at_right_angle, "reduced_scattering": scattering.reduced}
+    pairs = {
+        "sigma_s_p90": scattering.at_right_angle, "reduced_scattering": scattering.reduced,
+        f"sigma_s_beyond_{CONE_DEG:g}deg": scattering.outside_cone,
+    }  # fmt: skip
     per_m = {}
     if scattering.beta is not None:
         least, most = scattering.beta.band(LEVEL)
@@ -424,6 +429,7 @@ def _tell(
 ) -> None:
     from rich.console import Console
 
+    from tankrig.estimation.phase_result import CONE_DEG
     from tankrig.estimation.result import ALL_ORDERS, light_of, told_apart
 
     rows: list[tuple[str, ...]] = []
@@ -438,6 +444,7 @@ def _tell(
     scattering = fitted.scattering
     further = list(fitted.nuisance.items())
     if scattering is not None and fitted.medium.phase is not None:
+        further += [(f"σs beyond {CONE_DEG:g}°", scattering.outside_cone)]
         further += [("σs(1−g)", scattering.reduced), ("σs p(90°)", scattering.at_right_angle)]
         # A family may call a parameter of its own g, which is not the liquid's mean cosine.
         likeliest = max(scattering.families, key=lambda family: scattering.families[family], default="")

@@ -15,6 +15,7 @@ FAMILIES = {
     "free": "free form",
     "mie": "Mie's spheres",
     "spheres": "spheres of any size",
+    "polydisperse": "particles of many sizes",
     "shaped": "spheres, or nearly",
     "table": "tabulated",
     "mixture": "mixture",

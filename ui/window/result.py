@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from tankrig.estimation.phase_result import CONE_DEG
 from tankrig.estimation.verdict import SYMBOLS
 from tankrig.live.formatting import with_error
 from tankrig.live.results import DoseFit, PhaseFound, SeriesFit
@@ -227,13 +228,17 @@ def _coefficients(
 
 
 def _scattering(medium: Medium, found: PhaseFound | None, unit: str) -> tuple[Coefficient, ...]:
-    """σs(1−g), and what describes the phase function; nothing of Henyey–Greenstein's, whose g says all."""
+    """σs(1−g), σs beyond a cone, and what describes the phase function; nothing of Henyey–Greenstein's, whose g says
+    all."""
     if found is None:
         return ()
-    reduced = Coefficient("reduced", "σs(1−g)", unit, found.reduced[0], Z * found.reduced[1], True)
+    follows = [Coefficient("reduced", "σs(1−g)", unit, found.reduced[0], Z * found.reduced[1], True)]
+    if found.outside_cone is not None:
+        value, sd = found.outside_cone
+        follows.append(Coefficient("outside_cone", f"σs beyond {CONE_DEG:g}°", unit, value, Z * sd, True))
     most = max(found.families, key=lambda name: found.families[name], default=medium.phase_function.kind)
     words = PARAMETERS.get(most, {})  # where families share the answer, these are the heaviest's
-    return reduced, *(
+    return *follows, *(
         Coefficient(name, words.get(name, name.replace("_", " ")), "", value, Z * sd, True)
         for name, (value, sd) in found.parameters.items()
     )

@@ -318,7 +318,7 @@ def average_rows(
     even = Even(first, (-math.log(margin) - first) / (count - 1), margin)
     liquids = decays.size
     profile, total, fading = np.empty((2, count, liquids)), np.empty(liquids), np.empty(liquids)
-    cuts = np.empty(5)
+    cuts, finest = np.empty(5), 4.0 * geometry.half_width * fractions[0]
     middle, lowest = 0.5 * (low + high), (1.0 - 1e-12) * geometry.height
     for j in range(z0.size):
         for i in range(x.size):
@@ -382,7 +382,7 @@ def average_rows(
                             start, end = cuts[k], cuts[k + 1]
                             panel_start = start
                             while end - panel_start > 1e-9:
-                                panel_end = _panel_end(panel_start, end, pixel)
+                                panel_end = _panel_end(panel_start, end, min(finest, 0.04 * pixel))
                                 half = 0.5 * (panel_end - panel_start)
                                 for n in range(nodes.size):
                                     delta = panel_start + half * (1.0 + nodes[n])
@@ -404,9 +404,8 @@ def average_rows(
 
 
 @kernel
-def _panel_end(start: float, end: float, pixel: float) -> float:
+def _panel_end(start: float, end: float, finest: float) -> float:
     """End of a panel that is graded about δ = 0, where J is singular."""
-    finest = 0.04 * pixel
     if start >= 0.0:
         return min(end, start + max(finest, 2.0 * start))
     reach = -start  # towards zero in thirds

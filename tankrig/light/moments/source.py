@@ -27,7 +27,7 @@ from tankrig.light.paths.lattices import beam_table
 from tankrig.light.paths.record import column_of, image_of_edges
 from tankrig.light.paths.trace import advance, narrow, scatter
 from tankrig.light.rays import Geometry, geometry_of
-from tankrig.light.water import Water, water_of
+from tankrig.light.water import Water, water_for_paths
 from tankrig.scene import Scene
 from tankrig.threads import THREADS
 
@@ -67,7 +67,7 @@ def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batche
     across, along, up = cells.counts
 
     def from_beams(number: int) -> Array:
-        water, points = water_of(medium), Points(LARGE.shifted((seed, number)), LARGE.points)
+        water, points = water_for_paths(medium), Points(LARGE.shifted((seed, number)), LARGE.points)
         total = np.zeros((up, along, across, moments))
         lit = [beam for beam in scene.projector.beams if beam.irradiance > 0.0]
         if not lit:
@@ -78,7 +78,7 @@ def emission_moments(scene: Scene, cells: Cells, degree: int, order: int, batche
         return result
 
     def from_anywhere(number: int) -> Array:
-        water, points = water_of(medium), Points(LARGE.shifted((seed, number)), LARGE.points)
+        water, points = water_for_paths(medium), Points(LARGE.shifted((seed, number)), LARGE.points)
         total = np.zeros((moments, up, along, across))
         for z_mm in sorted({beam.z_mm for beam in scene.projector.beams}):
             beams = np.array(

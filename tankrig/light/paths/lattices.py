@@ -11,7 +11,7 @@ from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.record import Bins, cell_averages, image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, sight_line
-from tankrig.light.water import water_of
+from tankrig.light.water import water_for_paths
 from tankrig.scene import Beam, Scene
 from tankrig.threads import THREADS
 
@@ -120,7 +120,7 @@ def traced(
     """
     images = int(bins.max()) + 1
     medium, geometry = scene.medium, geometry_of(scene)
-    water, points = water_of(medium), Points(lattice.shifted(seed), lattice.points)
+    water, points = water_for_paths(medium), Points(lattice.shifted(seed), lattice.points)
     shiftable = grid.shiftable
     edges = np.zeros((images, 2, grid.rows + 2, grid.columns + 2))
     cells = np.zeros((images, grid.rows, grid.columns))

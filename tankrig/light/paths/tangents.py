@@ -47,7 +47,7 @@ from tankrig.light.paths.lattices import THINNING
 from tankrig.light.paths.record import TallyRecord, cell_averages, empty_record, image_of_edges, seen_from
 from tankrig.light.paths.trace import advance, arrive, cover, look, narrow, probed, scatter
 from tankrig.light.rays import Geometry, geometry_of, sight_line
-from tankrig.light.water import Water, water_of
+from tankrig.light.water import Water, water_for_paths
 from tankrig.scene import Scene
 from tankrig.scene.phase import phase_density
 from tankrig.scene.phase_table import PhaseFunction, PhaseRecord
@@ -383,7 +383,7 @@ def traced_tangents(
         σa, σs (times mm) and g, or by the share of the way to each of k others.
     """
     medium, geometry = scene.medium, geometry_of(scene)
-    water, points, shiftable = water_of(medium), Points(lattice.shifted(seed), lattice.points), grid.shiftable
+    water, points, shiftable = water_for_paths(medium), Points(lattice.shifted(seed), lattice.points), grid.shiftable
     limits = PathLimits(max_order, faintest, THINNING, lowest=lowest)
     middles = (np.arange(grid.columns) + 0.5) * grid.cell_mm[0]
     scores = NO_SCORES if medium.phase is None else scores_towards(others, medium.phase)
@@ -420,5 +420,5 @@ def scores_towards(others: Sequence[PhaseFunction], phase: PhaseFunction) -> Arr
     >>> scores_towards([TwoTerm(0.8, -0.3, 0.9)], TwoTerm(0.8, -0.3, 0.9)).any()
     np.False_
     """
-    table = np.maximum(phase.table, 1e-300)
-    return np.array([other.table / table - 1.0 for other in others]).reshape(len(others), table.size).T.copy()
+    table = np.maximum(phase.blunted, 1e-300)
+    return np.array([other.blunted / table - 1.0 for other in others]).reshape(len(others), table.size).T.copy()

@@ -23,7 +23,7 @@ from tankrig.light.paths.record import cell_averages, image_of_edges
 from tankrig.light.paths.trace import trace
 from tankrig.light.rays import geometry_of, shift_invariant, sight_line
 from tankrig.light.tank import CellGrid, twice_edged_of
-from tankrig.light.water import water_of
+from tankrig.light.water import water_for_paths
 from tankrig.scene import Beam, Medium, Scene
 
 Array = NDArray[np.float64]
@@ -237,7 +237,7 @@ class PathImages:
         faintest_mark = FAINTEST_MARK * height**2 if height > DEEP else 0.0
         lowest, highest = orders
         limits = PathLimits(highest, FAINTEST, thinning, turns, faintest_mark, lowest)
-        geometry, water = geometry_of(lit), water_of(medium)._replace(albedo=1.0)
+        geometry, water = geometry_of(lit), water_for_paths(medium)._replace(albedo=1.0)
         for batch in range(batches):
             points = Points(LARGE.shifted((seed, batch)), LARGE.points)
             trace(light, self._bins, self.grid.cell_mm, geometry, water, table, points, limits)

@@ -31,7 +31,7 @@ from tankrig.light.walls.faces import (
     sent_back,
     steepest_sights,
 )
-from tankrig.light.water import Water, water_of
+from tankrig.light.water import Water, water_for_paths
 from tankrig.scene import Scene
 from tankrig.scene.phase import drawn_cosine, phase_density
 
@@ -96,7 +96,7 @@ def wall_images(
     beams = [beam for beam in scene.projector.beams if beam.irradiance > 0.0]
     power = np.array([beam.power for beam in beams])
     table = np.column_stack([np.array([(*beam.y_mm, *beam.z_mm) for beam in beams]), np.cumsum(power) / power.sum()])
-    geometry, water = geometry_of(scene), water_of(scene.medium)
+    geometry, water = geometry_of(scene), water_for_paths(scene.medium)
     faces = face_table(scene.tank)
     kept = np.ones(len(faces))
     if diffuse_only:  # as many paths go to such faces as if they sent back all light, and keep what these do send back
