@@ -11,14 +11,25 @@ from hypothesis import strategies as st
 import tankrig
 from tankrig.estimation import phase_answer
 from tankrig.estimation.phase_average import averaged
-from tankrig.estimation.phase_families import FAMILIES, Family, as_free, free, henyey_greenstein, labelled
-from tankrig.estimation.phase_result import ANGLES_DEG, CONE_DEG, Scattering, scattering_of
+from tankrig.estimation.phase_evidence import Score, by_free, families, hides
+from tankrig.estimation.phase_families import (
+    CONE_DEG,
+    FAMILIES,
+    PLACES,
+    Family,
+    amplitudes_of,
+    as_free,
+    free,
+    henyey_greenstein,
+    labelled,
+)
+from tankrig.estimation.phase_result import ANGLES_DEG, Scattering, scattering_of
 from tankrig.estimation.polydisperse import polydisperse
 from tankrig.estimation.problem import Evaluation
 from tankrig.scene import Camera, Medium
 from tankrig.scene.free_phase import SHAPES, FreePhase
 from tankrig.scene.mie import Mie
-from tankrig.scene.phase_functions import HenyeyGreenstein, Mixture, ReynoldsMcCormick, TwoTerm
+from tankrig.scene.phase_functions import FournierForand, HenyeyGreenstein, Mixture, ReynoldsMcCormick, TwoTerm
 from tankrig.scene.phase_table import PhaseFunction
 from tests.phase_images import LABEL, TANK, TURNS, Array, fit, many_turns, off_in_sd, photographed
 
@@ -225,3 +236,25 @@ def test_an_emulsions_phase_function_is_a_result(asked: str | None) -> None:
     assert found.medium.g == pytest.approx(0.76328, abs=0.015)
     assert found.scattering.at_right_angle[0] == pytest.approx(1.1642e-4, rel=0.06)
     assert found.identifiable["sigma_s"]
+
+
+@pytest.mark.parametrize(
+    ("truth", "may"),
+    [
+        (FournierForand(1.1, 3.58), True),
+        (FournierForand(1.05, 3.8), True),
+        (TwoTerm(0.88, -0.3, 0.94), False),
+        (ReynoldsMcCormick(0.7, 0.8), False),
+        (HenyeyGreenstein(0.93), False),
+        (exponential(0.097, 1.47), False),
+    ],
+    ids=lambda one: getattr(one, "kind", ""),
+)
+def test_a_peak_that_no_image_shows_is_told_by_what_turns_by_more(truth: PhaseFunction, may: bool) -> None:
+    """Natural waters turn half of their light by less than 5°, and their σs was 23 % off, "determined"."""
+    base = math.atanh(min(truth.mean_cosine, 0.9))
+    at = np.array([1e-3, 0.02, base, *amplitudes_of(truth.at(PLACES), base, CONE_DEG if may else 0.0)])
+    known = np.array([1e-4, 5e-4, 0.05, *[0.1] * SHAPES])
+    score = Score(at, np.zeros(at.size), np.diag(1.0 / known), np.zeros((at.size, 1)))
+    freely = by_free(score, np.diag(known**2), free())
+    assert hides(score, [freely, *families(score, freely)]) == may

@@ -22,6 +22,7 @@ from tankrig.estimation.phase_evidence import (
     about_spheres,
     by_free,
     families,
+    hides,
     of_spheres,
 )
 from tankrig.estimation.phase_families import PLACES, Family, amplitudes_of
@@ -106,8 +107,9 @@ def averaged(best: Evaluation, spread: Array, family: Family, exact: Exact | Non
             break
         place, liquid = _place(found[1:], shares / shares.sum(), family)
         left, noise = _left_by([exact(liquid, times).image], best), _noise_of(exact, liquid, best)
-        found = [freely, *families(score.about(place, left, noise), freely)]
-    return together(found)
+        score = score.about(place, left, noise)
+        found = [freely, *families(score, freely)]
+    return replace(together(found), hides=hides(score, found))
 
 
 def like_spheres(best: Evaluation, spread: Array, family: Family) -> tuple[Medium, ...]:

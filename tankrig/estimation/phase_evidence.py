@@ -16,7 +16,7 @@ standard deviation τ that nobody knows: ψ holds these amplitudes, and `DISCREP
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -28,6 +28,7 @@ from tankrig.estimation.phase_families import (
     PLACES,
     Family,
     amplitudes_of,
+    fournier_forand,
     free,
     henyey_greenstein,
     reynolds_mccormick,
@@ -55,6 +56,9 @@ STEPS, FEW_STEPS, ENOUGH = 40, 16, 1e-5
 relative changes below which it is over."""
 NOT_HOPELESS = 10.0
 """By how much more, squared, a look at spheres may leave than the best other family does for them to be fitted."""
+ABOUT_AS_LIKELY = 3.0
+"""By how much less, as a logarithm, natural waters may be likely for that: they were .1 less and 8 more so where the
+liquid is one, and 5 and more less for nine other liquids."""
 MODES, SAME = 4, 0.3
 """Diameters of spheres that fits begin from, and standard deviations of what an image says within which two of them
 have ended at the same."""
@@ -166,6 +170,21 @@ def families(score: Score, freely: Weighed) -> list[Weighed]:
     return found + of_spheres(score, freely, float(_off(score, np.array(members)).min()) + NOT_HOPELESS)
 
 
+def hides(score: Score, found: Sequence[Weighed]) -> bool:
+    """Whether a liquid may scatter much of its light nearly straight on, as natural waters do, which no image shows.
+
+    Their particles, by what turns by more and hardly off it, are then about as likely as the likeliest that was found.
+    """
+    waters, near = fournier_forand(), found[0].liquid
+    first = waters.like(near.g)
+    tried = [
+        _family(score, waters, near, start, off).evidence
+        for start in (first, *waters.others(first))
+        for off in (LITTLE, MIDDLE)
+    ]
+    return max(tried) > max(one.evidence for one in found) - ABOUT_AS_LIKELY
+
+
 def of_spheres(score: Score, freely: Weighed, enough: float) -> list[Weighed]:
     """Spheres, which have many modes: the likeliest by a rough look are fitted with the middle discrepancy, and those
     that then are likely with the others too; none where the look leaves more than enough."""
@@ -235,7 +254,7 @@ def _family(score: Score, family: Family, near: Medium, start: Array, discrepanc
 
     @lru_cache(maxsize=16)
     def nearest(coordinates: tuple[float, ...]) -> Array:
-        return amplitudes_of(family.phase(np.array(coordinates)).density(PLACES), base)
+        return amplitudes_of(family.phase(np.array(coordinates)).density(PLACES), base, family.told_from_deg)
 
     def residual(off: Array) -> Array:
         return np.concatenate([score.misfit(place(off)), off[2:]])

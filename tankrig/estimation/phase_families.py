@@ -31,6 +31,9 @@ PLACES = np.cos(
     np.radians(np.exp(np.linspace(math.log(FORWARD_DEG), math.log(180.0 + FORWARD_DEG), 100)) - FORWARD_DEG)
 )
 """Cosines at which phase functions are compared with free ones, as dense as the shapes want them."""
+CONE_DEG = 5.0
+"""What turns by less stays in its beam, and passes for light that was not scattered: how much a liquid scatters there
+no image tells, only how smooth p is expected to be. Natural waters scatter half of all light so."""
 RIDGE = 1e-3
 """Keeps shapes finite that a curve says nothing about."""
 
@@ -67,6 +70,8 @@ class Family:
         Values of the first coordinate between which images go up and down: a search looks at all of them.
     finer
         Whether members have finer structure than a free phase function.
+    told_from_deg
+        Angle from which on members are like free phase functions, where closer to straight on they have a pole.
     describe
         What a member is described by, in its own units.
     kind
@@ -87,6 +92,7 @@ class Family:
     others: Callable[[Array], Sequence[Array]] = lambda _: ()
     ladder: Array = field(default_factory=lambda: np.zeros(0))
     finer: bool = False
+    told_from_deg: float = 0.0
     describe: Callable[[Any], dict[str, float]] = field(default_factory=lambda: _numbers_of)
     kind: str = ""
 
@@ -171,7 +177,7 @@ def fournier_forand() -> Family:
         lambda at: FournierForand(1.0 + math.exp(at[0]), 3.0 + 2.0 * _share(at[1])),
         lambda one: np.array([math.log(one.index - 1.0), _logit(0.5 * (one.slope - 3.0))]),
         lambda g: np.array([math.log(min(max(0.35 * (1.0 - g), 0.02), 0.3)), _logit(0.3)]),
-        others=lambda at: [at + np.array([0.0, 1.0]), at + np.array([0.5, -1.0])],
+        others=lambda at: [at + np.array([0.0, 1.0]), at + np.array([0.5, -1.0])], told_from_deg=CONE_DEG,
     )  # fmt: skip
 
 
@@ -209,7 +215,7 @@ def as_free(phase: PhaseFunction, base: float | None = None) -> Array:
     return np.concatenate([[start], amplitudes_of(phase.at(PLACES), start)])
 
 
-def amplitudes_of(density: Array, base: float) -> Array:
+def amplitudes_of(density: Array, base: float, from_deg: float = 0.0) -> Array:
     """(…, shapes) amplitudes of the free phase functions that are most like densities, up to a factor, at `PLACES`.
 
     Parameters
@@ -218,15 +224,18 @@ def amplitudes_of(density: Array, base: float) -> Array:
         (…, n) p.
     base
         atanh of the asymmetry that it starts from.
+    from_deg
+        Angle from which on they are to be alike.
     """
     log = np.log(np.maximum(density / phase_function(PLACES, math.tanh(base)), 1e-300))
-    return np.asarray(log @ _nearest_shapes().T)
+    return np.asarray(log @ _nearest_shapes(from_deg).T)
 
 
-@lru_cache(maxsize=1)
-def _nearest_shapes() -> Array:
+@lru_cache(maxsize=2)
+def _nearest_shapes(from_deg: float) -> Array:
     """(shapes, n) times ln p over the base's at `PLACES`, the amplitudes that are nearest."""
-    columns = np.vstack([shapes_at(PLACES), np.ones(PLACES.size)]).T
+    counts = (math.cos(math.radians(from_deg)) + 1e-9 >= PLACES).astype(float)
+    columns = np.vstack([shapes_at(PLACES), np.ones(PLACES.size)]).T * counts[:, None]
     return np.asarray(np.linalg.solve(columns.T @ columns + RIDGE * np.eye(columns.shape[1]), columns.T)[:-1])
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.phase_families import Family
+from tankrig.estimation.phase_families import CONE_DEG, Family
 from tankrig.scene import Medium
 
 Array = NDArray[np.float64]
@@ -17,9 +17,7 @@ ANGLES_DEG = np.array([0.0, 2.0, 5.0, *np.arange(10.0, 181.0, 5.0)])
 PER_M = 1000.0
 """From 1/mm to 1/m."""
 RIGHT_ANGLE = int(np.flatnonzero(ANGLES_DEG == 90.0)[0])
-CONE_DEG = 5.0
-"""What turns by less stays in its beam, and passes for light that was not scattered: how much a liquid scatters there
-no image tells, only how smooth p is expected to be. Natural waters scatter a quarter to a half of all light so."""
+
 
 MOST_LOGARITHM = 300.0
 """Width of a band at most, as a logarithm: what is not known at all has one without end, and numbers do not."""
@@ -79,6 +77,9 @@ class Scattering:
     beta
         Volume scattering function σs p in 1/(m sr), with the standard deviation of its logarithm; of ink, per ml. It
         is as absolute as σs, which comes from how light fades and spreads and needs no known gain.
+    hides
+        Whether a peak within the cone, as natural waters have one, is as likely as not to have one: then σs and the
+        mean cosine are those of what is smooth there, and `outside_cone` is known.
     beads
         The liquid as spheres alone, where these are likelier than all else and it is hardly off them; else None.
     """
@@ -92,6 +93,7 @@ class Scattering:
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     families: Mapping[str, float] = field(default_factory=dict)
     beta: PhaseCurve | None = None
+    hides: bool = False
     beads: Medium | None = None
 
 

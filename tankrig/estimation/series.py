@@ -52,6 +52,7 @@ from tankrig.estimation.uncertainty import PATTERN, ModelError
 from tankrig.estimation.verdict import (
     series_verdict,
     what_has_not_settled,
+    what_hides_in_its_beams,
     what_is_misaligned,
     what_is_unseen,
     what_may_be_another_phase,
@@ -254,7 +255,7 @@ def _liquid_at(
         return None, None
     found = LiquidEstimate(
         medium, spread, gain, rms(np.array([one.rmse for one in left])), rms(np.array([one.counted for one in left])),
-        _known(medium, spread, left, asked, fit), rms(np.array([one.beyond for one in left])), answer,
+        _known(answer, spread, left, asked, fit), rms(np.array([one.beyond for one in left])), answer,
         nuisances_of(best, whole),
     )  # fmt: skip
     return found, likely_spheres(best, whole, asked, answer, _unsure(fit, left, asked, answer))
@@ -267,11 +268,11 @@ def _unsure(fit: Fit, left: Sequence[Left], asked: Asked, answer: Scattering) ->
     return mostly or fit.moved is not None or is_rough(fit.optimum, asked) or any(one.beyond > 0.0 for one in left)
 
 
-def _known(medium: Medium, spread: Array, left: Sequence[Left], asked: Asked, fit: Fit) -> dict[str, bool]:
+def _known(answer: Scattering, spread: Array, left: Sequence[Left], asked: Asked, fit: Fit) -> dict[str, bool]:
     """Which of σa, σs, g images determine; where a fit has not settled, or of a liquid that may have another phase
-    function than those searched, neither σs nor g."""
-    known = determined(medium, spread, left)
-    doubted = fit.moved is not None or _leaves_much(left, asked) or is_rough(fit.optimum, asked)
+    function than those searched, or scatter much nearly straight on, neither σs nor g."""
+    known = determined(answer.liquid, spread, left)
+    doubted = fit.moved is not None or _leaves_much(left, asked) or is_rough(fit.optimum, asked) or answer.hides
     return known | {"sigma_s": False, "g": False} if doubted else known
 
 
@@ -375,7 +376,7 @@ def _built(
     else:
         water, spread = float(best.values["water"][0]), _with_water(best, whole, asked.family, answer)
     liquid = answer.liquid
-    known = _known(liquid, spread[:3, :3], left, asked, fit) | {
+    known = _known(answer, spread[:3, :3], left, asked, fit) | {
         "water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * water)
     }
     noise_known = all(view.observation.noise_known for view in best.problem.views)
@@ -394,6 +395,7 @@ def _built(
                 what_may_be_another_phase(doubted),
                 what_no_phase_describes(asked.is_free and (_leaves_much(left, asked) or rough), rough),
                 what_has_not_settled(fit.moved is not None),
+                what_hides_in_its_beams(answer.outside_cone if answer.hides else None, "/mm per ml"),
                 what_is_misaligned(off),
                 what_is_unseen(liquid, unseen[: 3 if asked.family is None else 2], spread, known),
             ])

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tankrig.estimation.coordinates import NAMES
 from tankrig.estimation.misfit import STRAY
+from tankrig.estimation.phase_families import CONE_DEG
 from tankrig.estimation.result import Linearity
 from tankrig.estimation.uncertainty import DETERMINED, END, extinction, reduced_scattering
 from tankrig.scene import Medium
@@ -183,6 +184,26 @@ def what_was_left_out(
             "not the liquid's."
         )
     return " ".join(sentences)
+
+
+def what_hides_in_its_beams(outside_cone: tuple[float, float] | None, unit: str = "/mm") -> str:
+    """A sentence for a liquid that may scatter much of its light nearly straight on; empty where it does not.
+
+    Parameters
+    ----------
+    outside_cone
+        σs of what turns by more than `CONE_DEG`, and its standard deviation; None of other liquids.
+    unit
+        Of both.
+    """
+    if outside_cone is None:
+        return ""
+    value, sd = outside_cone
+    return (
+        f"The liquid may turn much of its light by less than {CONE_DEG:g}°, as natural waters do, and no image tells "
+        f"that from light that was not scattered: compare σs beyond {CONE_DEG:g}° = {value:.4g} ± {sd:.2g} {unit}, "
+        "neither σs nor g."
+    )
 
 
 def what_is_misaligned(found: Mapping[str, tuple[float, float]]) -> str:

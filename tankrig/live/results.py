@@ -36,7 +36,7 @@ class PhaseFound:
         The phase function: p in 1/sr at scattering angles, and the standard deviation of ln p.
     at_right_angle, reduced, outside_cone
         σs p(90°), σs (1 − mean cosine), and σs of what is scattered by more than
-        `tankrig.estimation.phase_result.CONE_DEG`, each with its standard deviation; the last None in journals older
+        `tankrig.estimation.phase_families.CONE_DEG`, each with its standard deviation; the last None in journals older
         than it.
     parameters
         What the family describes p by, as name: (value, standard deviation).

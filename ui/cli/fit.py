@@ -367,7 +367,7 @@ def _numbers(fitted: "Estimate", rebuilt: "Sequence[Reconstruction]", single: "E
 
 def _scattering_numbers(scattering: "Scattering") -> dict[str, Any]:
     """Of the phase function: what it is described by, its curve with a band, and what follows from it."""
-    from tankrig.estimation.phase_result import CONE_DEG
+    from tankrig.estimation.phase_families import CONE_DEG
 
     curve = scattering.curve
     low, high = curve.band(LEVEL)
@@ -429,7 +429,7 @@ def _tell(
 ) -> None:
     from rich.console import Console
 
-    from tankrig.estimation.phase_result import CONE_DEG
+    from tankrig.estimation.phase_families import CONE_DEG
     from tankrig.estimation.result import ALL_ORDERS, light_of, told_apart
 
     rows: list[tuple[str, ...]] = []

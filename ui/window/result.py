@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from tankrig.estimation.phase_result import CONE_DEG
+from tankrig.estimation.phase_families import CONE_DEG
 from tankrig.estimation.verdict import SYMBOLS
 from tankrig.live.formatting import with_error
 from tankrig.live.results import DoseFit, PhaseFound, SeriesFit
