@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tankrig.estimation.astray import gamma
+from tankrig.estimation.astray_patterns import gamma
 from tankrig.estimation.coordinates import Range, to_coordinates
 from tankrig.estimation.differences import Forward, slopes_of
 from tankrig.estimation.fitting import fitted

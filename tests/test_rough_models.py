@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tankrig.estimation.astray import black_level
+from tankrig.estimation.astray_patterns import black_level
 from tankrig.estimation.followed import Followed
 from tankrig.estimation.forward import models_of
 from tankrig.estimation.light_beside import described_beside

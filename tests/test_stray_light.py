@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import tankrig
-from tankrig.estimation.astray import Astray, AstrayBlock, causes
+from tankrig.estimation.astray import Astray, AstrayBlock
+from tankrig.estimation.astray_causes import causes
 from tankrig.estimation.found_optics import as_found
 from tankrig.estimation.residual import likely_cause
 from tankrig.light.leaving import CameraLens

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import tankrig
 from tankrig.errors import SceneError
-from tankrig.estimation.astray import floor
+from tankrig.estimation.astray_patterns import floor
 from tankrig.light import high_orders
 from tankrig.light.order_one import once, once_of
 from tankrig.light.paths.record import seen_from

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import SceneError
-from tankrig.estimation.astray import ASTRAY, Astray, AstrayBlock, floor
+from tankrig.estimation.astray import ASTRAY, Astray, AstrayBlock
+from tankrig.estimation.astray_patterns import floor
 from tankrig.estimation.coordinates import Range
 from tankrig.estimation.findings import Findings, findings_of
 from tankrig.estimation.fitting import fitted_on, searched, without_outliers

@@ -6,7 +6,7 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.astray import SIGNS
+from tankrig.estimation.astray_causes import SIGNS
 from tankrig.estimation.left_over import Left, Shown, astray_shown, error_of, spread_of
 from tankrig.estimation.phase_answer import Asked
 from tankrig.estimation.phase_doubt import Doubt, PhaseTold

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import ImageError
-from tankrig.estimation.astray import SIGNS, causes
+from tankrig.estimation.astray_causes import SIGNS, causes
 from tankrig.estimation.found_optics import as_found
 from tankrig.estimation.light_beside import sizes_along
 from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown

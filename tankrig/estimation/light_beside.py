@@ -13,7 +13,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.astray import FLOOR, AstrayBlock, require_sd
+from tankrig.estimation.astray import AstrayBlock, require_sd
+from tankrig.estimation.astray_patterns import FLOOR
 from tankrig.estimation.followed import Followed, Model, Solved
 from tankrig.estimation.parameters import FURTHEST_OFF, Block, Values
 from tankrig.prediction import Prediction

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation import astray
+from tankrig.estimation import astray_causes
 from tankrig.estimation.found_optics import as_found
 from tankrig.estimation.light_beside import sizes_along
 from tankrig.estimation.observation import Observation
@@ -213,7 +213,7 @@ def cause_of(
         "uneven ink": uneven,
         "a misaligned beam or camera": lambda: list(misaligned()),
         "beams of another brightness than described, or missing": beams,
-        **astray.causes(scene, image, found=as_found(scene, sizes_along(best.problem.blocks, best.values))),
+        **astray_causes.causes(scene, image, found=as_found(scene, sizes_along(best.problem.blocks, best.values))),
     }
     told = []
     if phase is None:
@@ -223,7 +223,7 @@ def cause_of(
     gain, _ = best.scale
     sizes = {
         name: (low * gain, high * gain)
-        for name, (low, high) in ((name, sign.sizes(scene)) for name, sign in astray.SIGNS.items())
+        for name, (low, high) in ((name, sign.sizes(scene)) for name, sign in astray_causes.SIGNS.items())
     }
     return likely_cause(best.left, project_out, causes, sizes, told)
 

@@ -1,0 +1,194 @@
+"""What an image gains from light that goes astray, a pattern for each cause.
+
+Per unit of its size, unless it says otherwise, of a scene with the fitted liquid and its image.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.estimation.found_optics import of_width
+from tankrig.scene import Beam, Scene
+from tankrig.scene.optics import NO_HALO, PINHOLE, Blur, Face, Halo, WideLens
+
+Array = NDArray[np.float64]
+Image = NDArray[np.floating]
+Pattern = Callable[[Scene, Image], Array]
+"""What an image gains."""
+
+BLUR_PARTS, BLUR_MM2 = 0.5, 0.1
+"""Width of the blur that stands for any of what is smooth, in pixels; variance of that of edges."""
+LENS_MM = 10.0
+"""Width of the projector's lens that stands for any."""
+FLOOR, FACE_LATTICES, SEED = 0.05, 8, 7
+"""Reflectance that stands for any; lattices of paths for a pattern, and their seed."""
+ROUGH, BATCHES = 0.05, 4
+"""Tolerance and lattices of the image that a dark picture's light makes."""
+WIDTH_STEP = 0.1
+"""By which the logarithm of a halo's width is differenced."""
+KEPT = 4
+"""Patterns by light paths that are kept: up to three questions about one fit ask for the same ones."""
+
+
+def halo(scene: Scene, image: Image) -> Array:
+    """More light in the camera's halo, of the width that the scene says."""
+    return _blurred(scene, image, scene.camera.halo.sigma_mm) - image
+
+
+def veil(_: Scene, image: Image) -> Array:
+    """More light in its veil."""
+    return np.asarray(float(np.mean(image)) - image)
+
+
+def blur(scene: Scene, image: Image) -> Array:
+    """More blur, per mm² of variance, by the one that stands for any."""
+    return more_blur(scene, image, BLUR_MM2) / BLUR_MM2
+
+
+def more_blur(scene: Scene, image: Image, mm2: float) -> Array:
+    """What an image gains when the camera blurs by a variance more.
+
+    Order 1 has its edges within pixels, and is blurred there: blur of .3 mm moves light over an edge that pixels of
+    4 mm share by another pattern, and ten times as much, as if the pixels themselves had been blurred.
+    """
+    camera = scene.camera
+    widths = [
+        None if one is None else float(np.hypot(one, np.sqrt(mm2)))
+        for one in (camera.blur.sigma_mm, camera.blur.corner_mm)
+    ]
+    blurred = replace(scene, camera=replace(camera, blur=Blur(widths[0] or 0.0, widths[1])))
+    sharp, soft = _first_order(scene), _first_order(blurred)
+    return soft - sharp + mm2 * soft_blur(scene, np.asarray(image - sharp))
+
+
+@lru_cache(maxsize=KEPT)
+def _first_order(scene: Scene) -> Array:
+    from tankrig.light.tank import low_orders
+
+    return low_orders(scene, ROUGH, 1)
+
+
+def soft_blur(scene: Scene, image: Image) -> Array:
+    """What is smooth gains by blur, per mm²."""
+    sigma_mm = BLUR_PARTS * min(scene.camera.sides_mm)
+    return np.asarray((_blurred(scene, image, sigma_mm) - image) / sigma_mm**2)
+
+
+def wide_lens(scene: Scene, _: Image) -> Array:
+    """Light that is sharp in the middle of the tank only: orders 1 and 2, which have the edges."""
+    from tankrig.light.tank import low_orders
+
+    lens = WideLens(LENS_MM, 0.5 * scene.tank.size_mm[0])
+    sharp = replace(scene.projector, halo=NO_HALO, black_level=0.0)  # what is smooth stays what it is
+    narrow, wide = (replace(scene, projector=replace(sharp, wide_lens=one)) for one in (PINHOLE, lens))
+    return low_orders(wide, ROUGH) - low_orders(narrow, ROUGH)
+
+
+def floor(scene: Scene, _: Image) -> Array:
+    """Light by way of a diffuse floor, per unit of its reflectance."""
+    return _by_faces(scene, "floor", Face("diffuse", FLOOR)) / FLOOR
+
+
+def panes(scene: Scene, _: Image) -> Array:
+    """Light that glass with air behind it sends back at the entry wall."""
+    return _by_faces(scene, "entry", replace(scene.tank.faces.entry, kind="glass"))
+
+
+def black_level(scene: Scene, _: Image) -> Array:
+    """Light all over the wall, per W/mm²."""
+    width, height = scene.tank.size_mm[1:]
+    return _lit_by(scene, (Beam((-0.5 * width, 0.5 * width), (0.0, height)),), smooth=True)
+
+
+def projector_halo(scene: Scene, _: Image) -> Array:
+    """More light in the projector's halo, of the width that the scene says."""
+    from tankrig.light.entering import in_halo
+
+    return _lit_by(scene, tuple(in_halo(scene, 1.0, fine=True))) - _lit_by(scene, scene.projector.beams)
+
+
+def other_halo(scene: Scene, image: Image, times: float) -> Array:
+    """The camera's halo spread so many times as wide as described."""
+    halo = scene.camera.halo
+    return np.asarray(
+        halo.share * (_blurred(scene, image, times * halo.sigma_mm) - _blurred(scene, image, halo.sigma_mm))
+    )
+
+
+def other_projector_halo(scene: Scene, _: Image, times: float) -> Array:
+    """The same of the projector's."""
+    from tankrig.light.entering import in_halo
+
+    light = scene.projector
+    widths = light.halo.sigma_mm, times * light.halo.sigma_mm
+    lit = (replace(scene, projector=replace(light, halo=Halo(light.halo.share, one))) for one in widths)
+    as_described, other = (_lit_by(one, tuple(in_halo(one, 1.0, fine=True))) for one in lit)
+    return np.asarray(light.halo.share * (other - as_described))
+
+
+def other_pane(scene: Scene, _: Image, more_mm: float) -> Array:
+    """What the entry pane sends back where it is thicker than described, or thinner: per mm."""
+    entry, thickness_mm = scene.tank.faces.entry, pane_mm(scene)
+    more_mm = max(more_mm, -thickness_mm)
+    other = _by_faces(scene, "entry", replace(entry, thickness_mm=thickness_mm + more_mm))
+    return np.asarray((other - _by_faces(scene, "entry", entry)) / abs(more_mm))
+
+
+def pane_mm(scene: Scene) -> float:
+    """Thickness of the entry pane, as described."""
+    described = scene.tank.faces.entry.thickness_mm
+    return scene.tank.wall_mm if described is None else described
+
+
+@lru_cache(maxsize=KEPT)
+def _lit_by(scene: Scene, beams: tuple[Beam, ...], smooth: bool = False) -> Array:
+    """The image of other beams than a scene's; `smooth` where none of them has an edge inside the tank."""
+    from tankrig.light.rays import shift_invariant
+    from tankrig.light.tangent import BY_PATHS, tank_tangent
+    from tankrig.light.tank import tank_image
+
+    lit = replace(scene, projector=replace(scene.projector, beams=beams, halo=NO_HALO, black_level=0.0))
+    if smooth and scene.tank.faces.dark and not shift_invariant(scene):
+        # Order 2 of rays all over the wall that slant took 5 to 19 of 6 to 20 CPU s, and paths show it within 3 %.
+        return np.asarray(tank_tangent(lit, BATCHES, tables=BY_PATHS).prediction.image, float)
+    return np.asarray(tank_image(lit, ROUGH, batches=BATCHES).image, float)
+
+
+def gamma(_: Scene, image: Image) -> Array:
+    """Levels with an exponent a little above 1, per unit of it."""
+    bright = float(np.max(image))
+    share = np.maximum(np.asarray(image, float) / bright, 1e-12) if bright > 0.0 else np.ones(np.shape(image))
+    return np.asarray(image * np.log(share))
+
+
+def by_width(scene: Scene, image: Image, found: Mapping[str, float]) -> Array:
+    """Derivative of an image by the logarithm of its halo's width, where so much of both was found."""
+    widths = (of_width(scene, found["halo_width"] + step).camera.halo.sigma_mm for step in (WIDTH_STEP, -WIDTH_STEP))
+    wide, narrow = (_blurred(scene, image, width) for width in widths)
+    return np.asarray((scene.camera.halo.share + found.get("halo", 0.0)) * (wide - narrow) / (2.0 * WIDTH_STEP))
+
+
+def _blurred(scene: Scene, image: Image, sigma_mm: float) -> Array:
+    from scipy.ndimage import correlate1d, gaussian_filter1d
+
+    found = np.asarray(image, float)
+    for axis, side in enumerate(scene.camera.sides_mm):
+        pixels = sigma_mm / side
+        if pixels >= 1.0:
+            found = np.asarray(gaussian_filter1d(found, pixels, axis=axis, mode="constant"))
+        else:
+            half = 0.5 * pixels**2  # weights with just that variance
+            found = np.asarray(correlate1d(found, [half, 1.0 - 2.0 * half, half], axis=axis, mode="constant"))
+    return found
+
+
+@lru_cache(maxsize=KEPT)
+def _by_faces(scene: Scene, name: str, face: Face) -> Array:
+    """What one face sends back, the others as described: order 1 and more, as the camera shows it."""
+    from tankrig.light.behind_lenses import more_by_faces
+
+    faces, without = (replace(scene.tank.faces, **{name: one}) for one in (face, Face()))
+    return more_by_faces(scene, faces, without, SEED, FACE_LATTICES)[0]
