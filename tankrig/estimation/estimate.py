@@ -45,13 +45,13 @@ from tankrig.estimation.verdict import (
     MUCH_LEFT_OUT,
     what_did_not_hold,
     what_has_not_settled,
-    what_hides_in_its_beams,
     what_is_determined,
     what_is_left,
     what_is_misaligned,
     what_is_shown,
     what_is_unseen,
     what_may_be_another_phase,
+    what_may_peak_unseen,
     what_no_phase_describes,
     what_phase_is_shown,
     what_spheres_do,
@@ -361,7 +361,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     unsure = undescribed or fit.moved is not None
     likely = likely_spheres(best, spread, asked, answer, unsure, models.prepares)
     medium, spread = answer.liquid, phase.counted(answer.covariance)
-    bent = phase.misled or phase.doubted or undescribed or fit.moved is not None or answer.hides
+    bent = phase.misled or phase.doubted or undescribed or fit.moved is not None or answer.may_peak
     known = {
         name: yes and name not in best.at_edge and not (bent and name != "sigma_a")
         for name, yes in determined(medium, spread, [left]).items()
@@ -371,7 +371,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
         *_on_residual(best, left, found),
         what_no_phase_describes(undescribed, rough),
         what_has_not_settled(fit.moved is not None),
-        what_hides_in_its_beams(answer.outside_cone if answer.hides else None),
+        what_may_peak_unseen(answer.outside_cone if answer.may_peak else None),
         what_may_be_another_phase(phase.doubted and _left_out(left) <= MUCH_LEFT_OUT),
         what_is_misaligned(off),
         *_on_light_astray(left, found, scene, medium, off, spread, known),

@@ -22,7 +22,7 @@ from tankrig.estimation.phase_evidence import (
     about_spheres,
     by_free,
     families,
-    hides,
+    may_peak,
     of_spheres,
 )
 from tankrig.estimation.phase_families import PLACES, Family, amplitudes_of
@@ -109,7 +109,7 @@ def averaged(best: Evaluation, spread: Array, family: Family, exact: Exact | Non
         left, noise = _left_by([exact(liquid, times).image], best), _noise_of(exact, liquid, best)
         score = score.about(place, left, noise)
         found = [freely, *families(score, freely)]
-    return replace(together(found), hides=hides(score, found))
+    return replace(together(found), may_peak=may_peak(score, found))
 
 
 def like_spheres(best: Evaluation, spread: Array, family: Family) -> tuple[Medium, ...]:

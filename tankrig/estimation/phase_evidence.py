@@ -57,8 +57,8 @@ relative changes below which it is over."""
 NOT_HOPELESS = 10.0
 """By how much more, squared, a look at spheres may leave than the best other family does for them to be fitted."""
 ABOUT_AS_LIKELY = 3.0
-"""By how much less, as a logarithm, natural waters may be likely for that: they were .1 less and 8 more so where the
-liquid is one, and 5 and more less for nine other liquids."""
+"""By how much less, as a logarithm, natural waters may be likely for that: they were .1 less and 6 more so where the
+liquid is one, and 6.9 and more less in ten fits of six other liquids."""
 MODES, SAME = 4, 0.3
 """Diameters of spheres that fits begin from, and standard deviations of what an image says within which two of them
 have ended at the same."""
@@ -164,13 +164,13 @@ def families(score: Score, freely: Weighed) -> list[Weighed]:
     """What all stiff families say with each of the discrepancies, and spheres, beside the free family's answer."""
     near, found, members = freely.liquid, [], []
     for family in (henyey_greenstein(), reynolds_mccormick(), two_term(), polydisperse()):
-        own = [_family(score, family, near, family.like(near.g), off) for off in DISCREPANCIES]
+        own = _by_discrepancies(score, family, near)
         members += [amplitudes_of(family.phase(one.own).density(PLACES), float(score.at[2])) for one in own]
         found += own
     return found + of_spheres(score, freely, float(_off(score, np.array(members)).min()) + NOT_HOPELESS)
 
 
-def hides(score: Score, found: Sequence[Weighed]) -> bool:
+def may_peak(score: Score, found: Sequence[Weighed]) -> bool:
     """Whether a liquid may scatter much of its light nearly straight on, as natural waters do, which no image shows.
 
     Their particles, by what turns by more and hardly off it, are then about as likely as the likeliest that was found.
@@ -202,9 +202,13 @@ def of_spheres(score: Score, freely: Weighed, enough: float) -> list[Weighed]:
 def about_spheres(score: Score, liquid: Medium, own: Array) -> list[Weighed]:
     """What spheres say next to an exact image of them, at coordinates of their own, by each of `HARDLY`; and particles
     of many sizes, which emulsions are besides."""
-    many = polydisperse()
     found = [_family(score, spheres(), liquid, own, off) for off in HARDLY]
-    return found + [_family(score, many, liquid, many.like(liquid.g), off) for off in DISCREPANCIES]
+    return found + _by_discrepancies(score, polydisperse(), liquid)
+
+
+def _by_discrepancies(score: Score, family: Family, near: Medium) -> list[Weighed]:
+    """A family, begun where it is most like a liquid, with each of the discrepancies."""
+    return [_family(score, family, near, family.like(near.g), off) for off in DISCREPANCIES]
 
 
 def _off(score: Score, amplitudes: Array) -> Array:

@@ -77,7 +77,7 @@ class Scattering:
     beta
         Volume scattering function σs p in 1/(m sr), with the standard deviation of its logarithm; of ink, per ml. It
         is as absolute as σs, which comes from how light fades and spreads and needs no known gain.
-    hides
+    may_peak
         Whether a peak within the cone, as natural waters have one, is as likely as not to have one: then σs and the
         mean cosine are those of what is smooth there, and `outside_cone` is known.
     beads
@@ -93,7 +93,7 @@ class Scattering:
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     families: Mapping[str, float] = field(default_factory=dict)
     beta: PhaseCurve | None = None
-    hides: bool = False
+    may_peak: bool = False
     beads: Medium | None = None
 
 

@@ -2,7 +2,7 @@
 
 Emulsions, milk, clays and cells hold particles whose sizes differ by factors, of one kind or of several. Their phase
 functions are smooth, but neither Henyey–Greenstein's nor anything a free phase function expects: of 2,000 calculated
-liquids (one to three kinds of spheres, each of a log-normal volume) ln p at 90° is .1 to .5 below
+liquids (one to three kinds of spheres, each of a log-normal volume) ln p at 90° is on average .2 to .6 below
 Henyey–Greenstein's of the same mean cosine, and the amplitudes of the free shapes are mostly in a few directions. So
 the family is the free phase functions whose amplitudes are those liquids' mean for a mean cosine and their principal
 components, as a Gaussian has them:
@@ -28,9 +28,9 @@ MOST_KINDS = 3
 RATIOS = (1.03, 1.05, 1.08, 1.1, 1.15, 1.19, 1.24)
 """Indices over water's: cells, proteins, oil, silica, acrylic, polystyrene, melamine."""
 DIAMETERS_UM, STEP = (0.04, 9.0), 0.02
-"""Of single spheres, and the step from one to the next, as a share."""
+"""Smallest and largest single sphere, and the step from one to the next, as a share."""
 MEDIAN_UM, WIDTH = (0.08, 3.0), (0.15, 0.8)
-"""Of a kind, by volume: its median, and the standard deviation of the logarithm."""
+"""Range of the median diameter of a kind, by volume, and of the standard deviation of its logarithm."""
 USUAL_G = (0.3, 0.97)
 """Mean cosines of the liquids whose components are taken."""
 LEAST_G = 0.05
@@ -113,7 +113,7 @@ def _drawn(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _single(diameters_um: Array, ratio: float) -> tuple[Array, Array, Array]:
-    """Of single spheres (n,) cross-sections, these times the mean cosine, and (n, places) times p at `PLACES`."""
+    """Cross-sections (n,) of single spheres, these times the mean cosine, and (n, places) times p at `PLACES`."""
     _, whole, _ = scattered_by(diameters_um, ratio, 2e3 * math.pi * WATER_INDEX / WAVELENGTH_NM, PLACES)
     angles = np.arccos(PLACES)
     ring = 2.0 * math.pi * whole * np.sin(angles)

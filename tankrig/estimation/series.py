@@ -52,10 +52,10 @@ from tankrig.estimation.uncertainty import PATTERN, ModelError
 from tankrig.estimation.verdict import (
     series_verdict,
     what_has_not_settled,
-    what_hides_in_its_beams,
     what_is_misaligned,
     what_is_unseen,
     what_may_be_another_phase,
+    what_may_peak_unseen,
     what_no_phase_describes,
     what_spheres_do,
 )
@@ -272,7 +272,7 @@ def _known(answer: Scattering, spread: Array, left: Sequence[Left], asked: Asked
     """Which of σa, σs, g images determine; where a fit has not settled, or of a liquid that may have another phase
     function than those searched, or scatter much nearly straight on, neither σs nor g."""
     known = determined(answer.liquid, spread, left)
-    doubted = fit.moved is not None or _leaves_much(left, asked) or is_rough(fit.optimum, asked) or answer.hides
+    doubted = fit.moved is not None or _leaves_much(left, asked) or is_rough(fit.optimum, asked) or answer.may_peak
     return known | {"sigma_s": False, "g": False} if doubted else known
 
 
@@ -395,7 +395,7 @@ def _built(
                 what_may_be_another_phase(doubted),
                 what_no_phase_describes(asked.is_free and (_leaves_much(left, asked) or rough), rough),
                 what_has_not_settled(fit.moved is not None),
-                what_hides_in_its_beams(answer.outside_cone if answer.hides else None, "/mm per ml"),
+                what_may_peak_unseen(answer.outside_cone if answer.may_peak else None, "/mm per ml"),
                 what_is_misaligned(off),
                 what_is_unseen(liquid, unseen[: 3 if asked.family is None else 2], spread, known),
             ])

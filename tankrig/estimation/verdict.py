@@ -186,7 +186,7 @@ def what_was_left_out(
     return " ".join(sentences)
 
 
-def what_hides_in_its_beams(outside_cone: tuple[float, float] | None, unit: str = "/mm") -> str:
+def what_may_peak_unseen(outside_cone: tuple[float, float] | None, unit: str = "/mm") -> str:
     """A sentence for a liquid that may scatter much of its light nearly straight on; empty where it does not.
 
     Parameters

@@ -190,7 +190,8 @@ def _straight_on(density: Callable[[Array], Array], values: Array) -> float:
         nodes, quadrature = phase_quadrature()
         few = slice(3, 3 * STEEP)
         there = 8.0 * math.pi * (quadrature * nodes)[few] @ density(1.0 - 2.0 * nodes[few] ** 2)
-        light += float(there + _light_to(values)[1] - _light_to(values)[STEEP]) * (NODES - 1) ** 2 / (8.0 * math.pi)
+        straight = _light_to(values)
+        light += float(there + straight[1] - straight[STEEP]) * (NODES - 1) ** 2 / (8.0 * math.pi)
     return max(6.0 * light - 2.0 * float(values[1]), 0.0)
 
 
