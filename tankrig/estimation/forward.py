@@ -36,7 +36,7 @@ from tankrig.estimation.light_beside import WithBeside, described_beside, with_l
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.stated_errors import COARSE, FINE, stated_error
 from tankrig.estimation.versions import Exact, Models, image_of
-from tankrig.estimation.with_prepared import Lift, Lifted, WithPrepared
+from tankrig.estimation.with_prepared import Lift, Lifted, Made, WithPrepared
 from tankrig.image.predict import MODELS, predict
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
@@ -44,7 +44,6 @@ from tankrig.scene.phase_table import PhaseFunction
 
 if TYPE_CHECKING:
     from tankrig.image.prepare import Prepared
-    from tankrig.light.prepared.phases.high import HighAnswer
 
 COARSE_BATCHES, SMOOTHED_BATCHES = 2, 6
 """Shifted lattices of light paths of the tank model's cheap images: where every path stands for all starts, and where
@@ -345,7 +344,7 @@ def _slants(scene: Scene) -> bool:
 
 def family_models(
     scene: Scene, family: Family, max_order: int | None = None, water_sigma_s: float = 0.0, prepared: bool = False,
-    made: "list[HighAnswer] | None" = None,
+    made: Made | None = None,
 ) -> Models:  # fmt: skip
     """Versions for media of a family of phase functions, whose derivatives come along the paths as well.
 
@@ -375,7 +374,7 @@ def family_models(
 
     batches = _lattices(coarse, fewest)
 
-    known: list[HighAnswer] = [] if made is None else made
+    known: Made = {} if made is None else made
 
     def refine(medium: Medium) -> tuple[Model, Model]:
         if prepared:

@@ -22,13 +22,16 @@ from tankrig.estimation.light_beside import described_beside
 from tankrig.estimation.phase_families import Family
 from tankrig.light.double import table_error
 from tankrig.light.prepared.about import box_for, holds
-from tankrig.light.prepared.phases.checked import CheckedOrders, checked_at
+from tankrig.light.prepared.phases.checked import CheckedOrders, Known, checked_at
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium
 from tankrig.scene.optics import PINHOLE
 
 Image = NDArray[np.floating]
+
+Made = dict[HighAnswer, Known]
+"""What was prepared, and what is known of each where it was made right."""
 
 LATTICES, FIRST_LATTICE = 16, 7
 """Lattices of light paths by which derivatives are made right, and the seed of the first."""
@@ -141,7 +144,7 @@ class WithPrepared:
     fine: bool = False
 
     @classmethod
-    def about(cls, lift: Lift, centre: Medium, made: list[HighAnswer]) -> "WithPrepared":
+    def about(cls, lift: Lift, centre: Medium, made: Made) -> "WithPrepared":
         """By the first of what was made that holds a medium; else what is prepared for a box about it, or read from
         the cache, is added there."""
         low = lift.whole
@@ -150,8 +153,8 @@ class WithPrepared:
         if high is None:
             box = box_for(Medium(liquid.sigma_a, liquid.sigma_s, liquid.g))
             high = high_orders_prepared(low.scene, box, TOLERANCE)
-            made.append(high)
-        right = checked_at(high, liquid)
+            made[high] = []
+        right = checked_at(high, liquid, made[high])
         return cls(lift, right, centre, cache(partial(missed_slopes, lift.bare, right, centre)))
 
     def __call__(self, medium: Medium) -> Prediction:
