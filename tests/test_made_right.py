@@ -37,16 +37,18 @@ class Place:
         return 100.0 * float((self.coordinates[0] - 1.0) ** 2)
 
 
-def led(monkeypatch: pytest.MonkeyPatch, promise: Callable[[float], float]) -> tuple[Place, Any, list[float], float]:
-    """The end of a fit from 0 that derivatives lead by so much where nothing is held; by how much it was still to be
-    corrected; how closely shapes were held each time; and how far from the truth the worst place was that it went on
-    from."""
+def led(
+    monkeypatch: pytest.MonkeyPatch, promise: Callable[[float, float], float]
+) -> tuple[Place, Any, list[float], float]:
+    """The end of a fit from 0 that derivatives lead by so much at a place where nothing is held, or shapes are held so
+    closely; by how much it was still to be corrected; how closely shapes were held each time; and how far from the
+    truth the worst place was that it went on from."""
     held: list[float] = []
 
     def solved(problem: Valley, start: np.ndarray, *_: object, **__: object) -> Place:
         close = problem.close[1] if problem.close else 0.0
         held.append(close)
-        return problem.at(start + promise(float(start[0])) / (1.0 + close))
+        return problem.at(start + promise(float(start[0]), close) / (1.0 + close))
 
     gone_on: list[float] = []
 
@@ -68,7 +70,7 @@ def led(monkeypatch: pytest.MonkeyPatch, promise: Callable[[float], float]) -> t
 
 def test_a_fit_whose_derivatives_promise_too_much_gets_there_in_shorter_ways(monkeypatch: pytest.MonkeyPatch) -> None:
     """By derivatives that led 14 times too far it went to and fro, and its end explained less than its beginning."""
-    end, moved, held, worst = led(monkeypatch, lambda at: (14.0 if abs(at - 1.0) > 0.5 else 1.0) * (1.0 - at))
+    end, moved, held, worst = led(monkeypatch, lambda at, _: (14.0 if abs(at - 1.0) > 0.5 else 1.0) * (1.0 - at))
     assert held[:2] == [CLOSE, by_prepared.FIRMER * CLOSE]
     assert worst == 1.0
     assert held[-1] == 0.0
@@ -77,8 +79,25 @@ def test_a_fit_whose_derivatives_promise_too_much_gets_there_in_shorter_ways(mon
 
 
 def test_a_fit_that_nothing_bears_out_stays_and_says_that_it_has_not_settled(monkeypatch: pytest.MonkeyPatch) -> None:
-    end, moved, held, _ = led(monkeypatch, lambda _: -60.0)
+    end, moved, held, _ = led(monkeypatch, lambda *_: -60.0)
     np.testing.assert_array_equal(end.coordinates, 0.0)
     assert len(held) == by_prepared.MOST_REFUSED
     assert moved is not None
     assert float(np.abs(moved).max()) > 0.1
+
+
+def test_a_fit_that_leads_astray_wherever_it_is_let_go_ends_where_holding_it_leads_nowhere(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Beads of .5 µm behind glass were let go and held again at one place until no centres were left."""
+
+    def promise(at: float, close: float) -> float:
+        if at < 0.9:
+            return (0.95 - at) * (1.0 + close)
+        return 0.0 if close else -30.0
+
+    end, moved, held, _ = led(monkeypatch, promise)
+    assert held == [CLOSE, CLOSE, 0.0, by_prepared.FIRMER * CLOSE]
+    assert float(end.coordinates[0]) == pytest.approx(0.95)
+    assert moved is not None
+    assert float(moved[0]) == pytest.approx(-30.0)

@@ -39,6 +39,9 @@ LIGHTER = 0.5
 """Share of how firmly that was expected, below which an end that says so has the fit go on."""
 FIRMER, MOST_REFUSED = 4.0, 3
 """Times as closely that shapes are held where a place was not gone on from, and how often in a row that is done."""
+NOWHERE = 0.05
+"""Change of χ²/2 below which shapes held so lead nowhere: let go again at the same place they would go to where they were
+refused, until no centres are left (beads of .5 µm did so five times)."""
 
 
 def by_prepared(
@@ -110,11 +113,11 @@ def by_centres(
     """The last place where models were made right, these models, and where it has not settled by how much values were
     still to be corrected."""
     centre: Evaluation | None = None
-    close, refused = CLOSE, 0
+    close, refused, wanted = CLOSE, 0, np.zeros(0)
     for _ in range(MOST_CENTRES):
         there = versions_near(shots, best)
         if centre is not None and costs_more(best, centre, there):
-            close, refused = FIRMER * max(close, CLOSE), refused + 1
+            close, refused, wanted = FIRMER * max(close, CLOSE), refused + 1, best.row - centre.row
             if refused == MOST_REFUSED:
                 break
         else:
@@ -128,6 +131,8 @@ def by_centres(
         held = replace(near, close=(centre.coordinates, close) if close else None)
         best = solve(held, centre.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
         best = centre.problem.at(best.coordinates)
+        if refused and abs(centre.cost - best.cost) < NOWHERE:
+            return centre, versions, wanted
     assert centre is not None
     return centre, versions, best.row - centre.row
 
