@@ -40,8 +40,8 @@ LIGHTER = 0.5
 FIRMER, MOST_REFUSED = 4.0, 3
 """Times as closely that shapes are held where a place was not gone on from, and how often in a row that is done."""
 NOWHERE = 0.05
-"""Change of χ²/2 below which shapes held so lead nowhere: let go again at the same place they would go to where they were
-refused, until no centres are left (beads of .5 µm did so five times)."""
+"""Change of χ²/2 below which shapes held so lead nowhere: let go again at the same place they would go to where they
+were refused, until no centres are left (beads of .5 µm did so five times)."""
 
 
 def by_prepared(
