@@ -28,6 +28,7 @@ from tankrig.light.walls.faces import (
     ENTRY,
     FAR,
     FLOOR,
+    GLASS,
     LEFT,
     RIGHT,
     ReflectingTank,
@@ -54,7 +55,9 @@ class Way(NamedTuple):
     """Faces that send light back, of its beam and then of a line of sight."""
 
     ahead: float
-    """How far along x the outer side of a pane beside the beam has moved it, mm."""
+    """How far along x panes have moved the beam, or its mirror image in the far wall, mm."""
+    spared: float
+    """Of the straight way of that image, what goes through the far pane instead of water, mm."""
     meets_floor: bool
     """Whether the beam comes to the floor, so that its mirror image goes on above it."""
     from_far: bool
@@ -232,14 +235,27 @@ def _add_source(
     tank = ReflectingTank(geometry, faces, steepest_sights(geometry))
     edges = (*beam.y_mm, *beam.z_mm)
     ux, _, _ = light_ray(geometry, 0.5 * sum(beam.y_mm), 0.5 * sum(beam.z_mm))
-    for from_far, kept in ((False, source.kept), (True, source.kept * sent_back(faces, FAR, ux)[0])):
-        lit = SharpBeam(edges, kept * beam.irradiance)
-        for way in _ways(source, faces, from_far) if kept > 0.0 else ():
+    beams = [(False, source.kept, 0.0), *((True, source.kept * share, by) for share, by in _from_far(faces, ux))]
+    for from_far, kept, behind in beams:
+        lit, there = SharpBeam(edges, kept * beam.irradiance), source._replace(ahead=source.ahead - behind)
+        for way in _ways(there, faces, from_far, behind / ux) if kept > 0.0 else ():
             if SentBack.of(way, source.by) in light:
                 _add_mirrored(images, cells, tank, liquids, lit, way, rules)
 
 
-def _ways(source: Source, faces: Array, from_far: bool) -> list[Way]:
+def _from_far(faces: Array, ux: float) -> list[tuple[float, float]]:
+    """What the far wall's inner and outer side send back of a beam, and how far behind the wall it seems to turn, mm.
+
+    What has been to the outer side comes out 2 d tan θ_glass farther along the wall, as a beam that goes straight on
+    does 2 d tan θ_glass/tan θ_water deeper: both that it is moved and how it spreads in the pane.
+    """
+    share, along, at_once = sent_back(faces, FAR, ux)
+    tangent = math.sqrt(max(1.0 - ux * ux, 0.0)) / ux
+    straight = 2.0 * faces[FAR, 2] * faces[FAR, 4] / faces[FAR, 3] if faces[FAR, 0] == GLASS else 0.0
+    return [(share * at_once, 0.0), (share * (1.0 - at_once), along / tangent if tangent > 1e-6 else straight)]
+
+
+def _ways(source: Source, faces: Array, from_far: bool, spared_mm: float) -> list[Way]:
     """Faces that lines of sight may meet one after the other: one across x, one across y, the floor."""
     geometry = source.geometry
     clear = [bool(kind % 3.0) for kind in faces[:, 0]]
@@ -248,7 +264,7 @@ def _ways(source: Source, faces: Array, from_far: bool) -> list[Way]:
     met = list(product(across_x, across_y, (False, True) if clear[FLOOR] else (False,)))
     meets_floor = source.by == FLOOR or _meets(geometry, source.beam, FLOOR)
     return [
-        Way(source.ahead, meets_floor, from_far, x, y, floor, outer)
+        Way(source.ahead, spared_mm, meets_floor, from_far, x, y, floor, outer)
         for x, y, floor in (met if from_far or source.by != NONE else met[1:])
         for outer in ((False, True) if max(x, y) != NONE or floor else (False,))
     ]
@@ -263,7 +279,8 @@ def _add_mirrored(
 
     ⟨I₁⟩ = 1/(Δx Δy) ∫ dx R ∫ dy I₁(mirrored line of sight)   over each cell, R what the faces send back
     """
-    (geometry, faces, _), (_, meets_floor, from_far, x_wall, y_wall, floor, outer) = tank, way
+    geometry, faces, _ = tank
+    _, spared, meets_floor, from_far, x_wall, y_wall, floor, outer = way
     sights, (nodes, weights), (side_mm, parts, _) = rules.sights, rules.x, cells
     ends, found = np.empty(CUTS), np.empty(images.shape[0])
     half_width, height = geometry.half_width, geometry.height
@@ -319,7 +336,7 @@ def _add_mirrored(
                             add_across_sights(found, 1.0, near, span, ends, liquids, above_edges, sights)
                     kept = beam.strength * share / side_mm * 0.5 * weights[i] / parts
                     for n in range(found.size):
-                        images[n, row, column] += kept * math.exp(liquids.sigma_t[n] * lift) * found[n]
+                        images[n, row, column] += kept * math.exp(liquids.sigma_t[n] * (lift + spared)) * found[n]
 
 
 @kernel
@@ -428,7 +445,7 @@ def _mirrored(geometry: Geometry, way: Way, x_move: float, y_move: float) -> Geo
 @part
 def _above_floor(geometry: Geometry, way: Way, x_move: float, y_move: float) -> Geometry:
     """The same where a line of sight has not met the floor yet: lit by the mirror image of the projector."""
-    same = Way(way.ahead, way.meets_floor, way.from_far, way.x_wall, way.y_wall, False, way.outer)
+    same = Way(way.ahead, way.spared, way.meets_floor, way.from_far, way.x_wall, way.y_wall, False, way.outer)
     one = _mirrored(geometry, same, x_move, y_move)
     return Geometry(
         one.length, one.half_width, one.height, one.refractive_index, one.light_pinhole, one.light_x, one.light_y,
