@@ -236,18 +236,18 @@ def _add_source(
     edges = (*beam.y_mm, *beam.z_mm)
     ux, _, _ = light_ray(geometry, 0.5 * sum(beam.y_mm), 0.5 * sum(beam.z_mm))
     beams = [(False, source.kept, 0.0), *((True, source.kept * share, by) for share, by in _from_far(faces, ux))]
-    for from_far, kept, behind in beams:
-        lit, there = SharpBeam(edges, kept * beam.irradiance), source._replace(ahead=source.ahead - behind)
-        for way in _ways(there, faces, from_far, behind / ux) if kept > 0.0 else ():
+    for from_far, kept, longer in beams:
+        lit, there = SharpBeam(edges, kept * beam.irradiance), source._replace(ahead=source.ahead - longer)
+        for way in _ways(there, faces, from_far, longer / ux) if kept > 0.0 else ():
             if SentBack.of(way, source.by) in light:
                 _add_mirrored(images, cells, tank, liquids, lit, way, rules)
 
 
 def _from_far(faces: Array, ux: float) -> list[tuple[float, float]]:
-    """What the far wall's inner and outer side send back of a beam, and how far behind the wall it seems to turn, mm.
+    """What the far wall's inner and outer side send back of a beam, and how much longer either's straight way is, mm.
 
-    What has been to the outer side comes out 2 d tan θ_glass farther along the wall, as a beam that goes straight on
-    does 2 d tan θ_glass/tan θ_water deeper: both that it is moved and how it spreads in the pane.
+    What has been to the outer side comes out 2 d tan θ_glass farther along the wall, where a beam that goes straight on
+    is 2 d tan θ_glass/tan θ_water deeper: that says by how much it is moved, and how it spreads in the pane.
     """
     share, along, at_once = sent_back(faces, FAR, ux)
     tangent = math.sqrt(max(1.0 - ux * ux, 0.0)) / ux
