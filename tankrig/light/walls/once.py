@@ -11,7 +11,7 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from enum import Enum, auto
-from itertools import pairwise, product
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +28,6 @@ from tankrig.light.walls.faces import (
     ENTRY,
     FAR,
     FLOOR,
-    GLASS,
     LEFT,
     RIGHT,
     ReflectingTank,
@@ -36,7 +35,8 @@ from tankrig.light.walls.faces import (
     sent_back,
     steepest_sights,
 )
-from tankrig.scene import Beam, Medium, Scene
+from tankrig.light.walls.mirrored_beams import NONE, Source, from_far_wall, meets, sent_aside
+from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,6 @@ PIECE_MM, COARSE_PIECE_MM = 8.0, 32.0
 """Width of the pieces of a beam that spreads to a wall: what the wall's inner side sends back goes with the angle."""
 HALVINGS = 20
 """How often a pixel is halved to find which of its lines of sight meet a wall: to a millionth of its side."""
-NONE = -1
 
 
 class Way(NamedTuple):
@@ -57,7 +56,7 @@ class Way(NamedTuple):
     ahead: float
     """How far along x panes have moved the beam, or its mirror image in the far wall, mm."""
     spared: float
-    """Of the straight way of that image, what goes through the far pane instead of water, mm."""
+    """How much of that image's straight way goes through the far pane instead of water, mm."""
     meets_floor: bool
     """Whether the beam comes to the floor, so that its mirror image goes on above it."""
     from_far: bool
@@ -163,67 +162,10 @@ def _add_all(
     liquids, rules = liquids_of(media), pixel_rules()
     for geometry, beams in light_sources(scene):
         lit = [Source(geometry, beam) for beam in beams if beam.irradiance > 0.0]
-        lit += [mirrored for one in lit for mirrored in _sent_aside(one, faces, cells.piece_mm)]
+        lit += [mirrored for one in lit for mirrored in sent_aside(one, faces, cells.piece_mm)]
         for source in lit:
             _add_source(images, cells, source, faces, liquids, rules, light)
     images *= np.array([one.sigma_s for one in media])[:, None, None]
-
-
-class Source(NamedTuple):
-    """A beam and its projector, or the mirror image of both in a wall beside it or in the floor."""
-
-    geometry: Geometry
-    beam: Beam
-    kept: float = 1.0
-    """Share of its light."""
-    ahead: float = 0.0
-    """How far along x the outer side of the pane has moved the light, mm."""
-    by: int = NONE
-    """The face, if it is a mirror image."""
-
-
-def _sent_aside(source: Source, faces: Array, piece_mm: float) -> list[Source]:
-    """Mirror images of a beam in the clear faces beside it, of its pieces so wide that meet them."""
-    geometry, beam = source.geometry, source.beam
-    (low, high), (lower, upper) = beam.y_mm, beam.z_mm
-    count = max(1, math.ceil((high - low) / piece_mm))
-    edges = np.linspace(low, high, count + 1).tolist()
-    heights = np.linspace(lower, upper, max(1, math.ceil((upper - lower) / piece_mm)) + 1).tolist()
-    found = []
-    for face, width in ((LEFT, -geometry.half_width), (RIGHT, geometry.half_width)):
-        turned = geometry._replace(light_y=2.0 * width - geometry.light_y)
-        for span in pairwise(edges):
-            image = replace(beam, y_mm=(2.0 * width - span[1], 2.0 * width - span[0]))
-            found += _by_face(source, faces, face, replace(beam, y_mm=span), Source(turned, image))
-    turned = geometry._replace(light_z=-geometry.light_z)
-    for span in pairwise(heights):
-        image = replace(beam, z_mm=(-span[1], -span[0]))
-        found += _by_face(source, faces, FLOOR, replace(beam, z_mm=span), Source(turned, image))
-    return found
-
-
-def _by_face(source: Source, faces: Array, face: int, piece: Beam, image: Source) -> list[Source]:
-    """The mirror image of a piece of a beam, by the inner and by the outer side of a face; none if it does not meet."""
-    geometry = source.geometry
-    if not faces[face, 0] % 3.0 or not _meets(geometry, piece, face):
-        return []
-    ux, uy, uz = light_ray(geometry, 0.5 * sum(piece.y_mm), 0.5 * sum(piece.z_mm))
-    cosine = abs(uz) if face == FLOOR else abs(uy)
-    share, along, at_once = sent_back(faces, face, cosine)
-    ahead = along * ux / math.sqrt(1.0 - cosine * cosine)
-    sides = ((share * at_once, 0.0), (share * (1.0 - at_once), ahead))
-    return [image._replace(kept=kept, ahead=by, by=face) for kept, by in sides if kept > 0.0]
-
-
-def _meets(geometry: Geometry, beam: Beam, face: int) -> bool:
-    """Whether some of a beam comes to a face beside it."""
-    for y, z in product(beam.y_mm, beam.z_mm):
-        ux, uy, uz = light_ray(geometry, y, z)
-        at_y, at_z = y + uy / ux * geometry.length, z + uz / ux * geometry.length
-        beyond = {LEFT: -geometry.half_width - at_y, RIGHT: at_y - geometry.half_width, FLOOR: -at_z}[face]
-        if beyond > 0.0:
-            return True
-    return False
 
 
 def _add_source(
@@ -235,24 +177,12 @@ def _add_source(
     tank = ReflectingTank(geometry, faces, steepest_sights(geometry))
     edges = (*beam.y_mm, *beam.z_mm)
     ux, _, _ = light_ray(geometry, 0.5 * sum(beam.y_mm), 0.5 * sum(beam.z_mm))
-    beams = [(False, source.kept, 0.0), *((True, source.kept * share, by) for share, by in _from_far(faces, ux))]
+    beams = [(False, source.kept, 0.0), *((True, source.kept * share, by) for share, by in from_far_wall(faces, ux))]
     for from_far, kept, longer in beams:
         lit, there = SharpBeam(edges, kept * beam.irradiance), source._replace(ahead=source.ahead - longer)
         for way in _ways(there, faces, from_far, longer / ux) if kept > 0.0 else ():
             if SentBack.of(way, source.by) in light:
                 _add_mirrored(images, cells, tank, liquids, lit, way, rules)
-
-
-def _from_far(faces: Array, ux: float) -> list[tuple[float, float]]:
-    """What the far wall's inner and outer side send back of a beam, and how much longer either's straight way is, mm.
-
-    What has been to the outer side comes out 2 d tan θ_glass farther along the wall, where a beam that goes straight on
-    is 2 d tan θ_glass/tan θ_water deeper: that says by how much it is moved, and how it spreads in the pane.
-    """
-    share, along, at_once = sent_back(faces, FAR, ux)
-    tangent = math.sqrt(max(1.0 - ux * ux, 0.0)) / ux
-    straight = 2.0 * faces[FAR, 2] * faces[FAR, 4] / faces[FAR, 3] if faces[FAR, 0] == GLASS else 0.0
-    return [(share * at_once, 0.0), (share * (1.0 - at_once), along / tangent if tangent > 1e-6 else straight)]
 
 
 def _ways(source: Source, faces: Array, from_far: bool, spared_mm: float) -> list[Way]:
@@ -262,7 +192,7 @@ def _ways(source: Source, faces: Array, from_far: bool, spared_mm: float) -> lis
     across_x = [NONE, *([wall for wall in (ENTRY, FAR) if clear[wall]] if geometry.camera_pinhole else [])]
     across_y = [NONE, *([wall for wall in (LEFT, RIGHT) if clear[wall]] if geometry.camera_pinhole else [])]
     met = list(product(across_x, across_y, (False, True) if clear[FLOOR] else (False,)))
-    meets_floor = source.by == FLOOR or _meets(geometry, source.beam, FLOOR)
+    meets_floor = source.by == FLOOR or meets(geometry, source.beam, FLOOR)
     return [
         Way(source.ahead, spared_mm, meets_floor, from_far, x, y, floor, outer)
         for x, y, floor in (met if from_far or source.by != NONE else met[1:])
