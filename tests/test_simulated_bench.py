@@ -84,6 +84,18 @@ def test_order_1_is_the_monte_carlos(bench: TrueBench, monkeypatch: pytest.Monke
     assert off[2] < 0.6 * off[1] < 0.36 * off[0]
 
 
+def test_light_of_a_halo_is_scattered_too(bench: TrueBench) -> None:
+    """Spread over the whole wall, none of its cells has much of it; the Monte Carlo is lit by as much of it as is seen
+    where lines of sight are followed back. It was lit by beams alone, and light scattered more than once was a
+    hundredth too faint."""
+    light, halo = pattern(LEFT, RIGHT), replace(bench, stray=TrueStray(projector_halo=0.02, projector_halo_mm=23.0))
+    back, back_without = (blocks(scattered_once(one, thrown_in_depth(one, light), INK), 15) for one in (halo, bench))
+    forth, forth_without = (first_order(bench_ink.true_scene(one, light, INK, 15)) for one in (halo, bench))
+    beside = back_without < 0.01 * back_without.max()
+    assert back.sum() == pytest.approx(forth.sum(), rel=0.004)
+    assert (back - back_without)[beside].sum() == pytest.approx((forth - forth_without)[beside].sum(), rel=0.02)
+
+
 @pytest.mark.parametrize("wall", ["entry", pytest.param("far", marks=pytest.mark.long), "left", "right"])
 def test_what_glass_walls_mirror_of_order_1_is_the_monte_carlos(wall: str) -> None:
     """Beams and their mirror images have the same edges; the Monte Carlo's went through what smooths its noise, which
