@@ -17,7 +17,7 @@ from tankrig.estimation.with_prepared import Lift, Lifted, WithPrepared
 from tankrig.light.behind_lenses import BehindLenses
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.phases import checked, high, plan
-from tankrig.light.prepared.phases.checked import CheckedOrders, checked_at
+from tankrig.light.prepared.phases.checked import CheckedOrders, checked_at, checked_finely_at
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
 from tankrig.light.prepared.sampling import PathImages
 from tankrig.light.tangent import tank_accurate
@@ -235,6 +235,13 @@ def test_a_medium_nearby_is_made_right_by_few_lattices(prepared: HighAnswer, mon
     checked_at(prepared, LIQUIDS[2], known)
     assert len(followed) == checked.FEWEST
     assert len(known) == 2
+
+
+def test_more_lattices_leave_as_much_less_of_their_noise(prepared: HighAnswer) -> None:
+    few, more = (checked_finely_at(prepared, LIQUIDS[0], count) for count in (32, 128))
+    stated = float(np.linalg.norm(few.errors))
+    assert float(np.linalg.norm(more.errors)) == pytest.approx(0.5 * stated, rel=0.25)
+    assert 0.3 * stated < float(np.linalg.norm(more.off - few.off)) < 1.5 * stated
 
 
 def test_errors_of_few_lattices_beside_many_are_what_they_differ_by() -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from tankrig.estimation.by_prepared import share_by_paths
 from tankrig.estimation.coordinates import Range
 from tankrig.estimation.differences import liquid_slopes_of
 from tankrig.estimation.observation import observe
@@ -77,3 +78,16 @@ def test_where_residuals_hold_structure_priors_hold_by_as_much_as_images_seem_to
     assert sum(off(one) for one, _ in held) < 0.95 * sum(off(one) for (one, _), _ in ends)
     for ((_, weight), _), (_, again) in zip(ends, held, strict=True):
         assert 0.3 < again / weight < 3.0  # what the fit leaves with it wants it again
+
+
+def test_noise_of_paths_that_looks_like_more_ink_adds_its_square_to_the_variance() -> None:
+    """And noise of single pixels, a hundredth of the camera's, no more than a ten thousandth."""
+    best, _ = fitted(0.0)
+    (view,), (medium,) = best.problem.views, best.media
+    alone = best.sensitivity.covariance([view.observation.noise], [None])[1, 1]
+    more = 0.003 * medium.sigma_s
+    like_ink = more * view.slopes(medium)[1:2]
+    assert share_by_paths(best, like_ink) == pytest.approx(more**2 / alone, rel=0.02)
+    assert share_by_paths(best, np.concatenate([like_ink, like_ink])) == pytest.approx(2.0 * more**2 / alone, rel=0.02)
+    speckles = 0.01 * np.diag(view.observation.noise.ravel()).reshape(-1, *SHAPE)
+    assert 0.0 < share_by_paths(best, speckles) < 1.02e-4

@@ -22,7 +22,7 @@ from tankrig.estimation.light_beside import described_beside
 from tankrig.estimation.phase_families import Family
 from tankrig.light.double import table_error
 from tankrig.light.prepared.about import box_for, holds
-from tankrig.light.prepared.phases.checked import CheckedOrders, Known, checked_at
+from tankrig.light.prepared.phases.checked import CheckedOrders, Known, checked_at, checked_finely_at
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium
@@ -156,6 +156,10 @@ class WithPrepared:
             made[high] = []
         right = checked_at(high, liquid, made[high])
         return cls(lift, right, centre, cache(partial(missed_slopes, lift.bare, right, centre)))
+
+    def by_lattices(self, count: int) -> "WithPrepared":
+        """The same, made right at its centre by so many lattices of light paths."""
+        return replace(self, high=checked_finely_at(self.high.high, self._in_water(self.centre), count))
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image, with its errors as they lie."""
