@@ -2,15 +2,8 @@
 
 What a prepared model knows of a phase function is not all of it, and nothing in its training images tells what it
 misses: of the image of 1 µm beads alike 2 to 3 %, where its noise is .2 to .4 (decision 211). What lattices of light
-paths at one medium differ from it by does. Nearly all of that lies in the few patterns that the model's images are made
-of, in which lattices have little noise. The rest counts as far as it is more than noise, smooth light and fine light
-each for itself:
-
-    off = PᵀP d + Σ max(0, 1 − nₖ²/sₖ²) rₖ,    r₁ = G (d − PᵀP d),    r₂ = d − PᵀP d − r₁,
-
-with the lattices' mean difference d, the patterns P, a Gaussian average G, rₖ's squared norms as they are, sₖ², and of
-noise alone, nₖ² (James and Stein 1961). Its errors are the lattices' scatter, and of rₖ the root of its share of that,
-whose square is what such an estimate errs by.
+paths at one medium differ from it by on average does, and is taken over as it is, with the lattices' scatter as its
+error. What is drawn towards the model, because it might be noise, is light that goes missing where the model is wrong.
 
 A fit asks at one medium after another, ever nearer to each other, where the same lattices err nearly alike. So what
 was learned at one by all lattices is taken over, and a few tell what is otherwise at the next,
@@ -47,10 +40,6 @@ MOST_KNOWN = 6
 """Media whose lattices are kept, 15 MB each of a bench."""
 ENOUGH = 0.003
 """Error over the whole of orders ≥ 3 that does."""
-SMOOTH_MM = 4.0
-"""Standard deviation of the Gaussian. Of beads of .5 µm 64 and 256 lattices leave .68 and .44 % of the image, with
-smooth light alone .71 and .60, and state .62 and .41, where that stated .55 and .35; of an emulsion .25 and .18, .26
-and .22. Four bands do no better."""
 PATTERNS = 32
 """How many the errors are told by: sums over all lattices with signs of chance."""
 
@@ -173,23 +162,7 @@ def _beside(apart: Array, near: Array) -> tuple[Array, Array]:
     return mean + more, errors + signs @ (change - more) / math.sqrt(count * (count - 1.0))
 
 
-def _made_right(high: HighAnswer, mean: Array, chance: Array) -> CheckedOrders:
-    """A model with what it is off by, and its errors, of what lattices differ by on average and theirs."""
-    sums = np.concatenate([mean[None], chance])
-    held = np.asarray((sums @ high.patterns.T) @ high.patterns, float)
+def _made_right(high: HighAnswer, off: Array, errors: Array) -> CheckedOrders:
+    """A model with what it is off by, (pixels,), and its errors, (n, pixels)."""
     shape = high.sampling.scene.camera.shape
-    rest = (sums - held).reshape(-1, *shape)
-    smooth = _smooth(rest, high.sampling.scene.camera.sides_mm)
-    images = held.reshape(-1, *shape)
-    off, errors = images[0], images[1:]
-    for band in (smooth, rest - smooth):
-        more = max(0.0, 1.0 - float(np.sum(band[1:] ** 2)) / max(float(np.sum(band[0] ** 2)), 1e-300))
-        off, errors = off + more * band[0], errors + math.sqrt(more) * band[1:]
-    return CheckedOrders(high, off, errors)
-
-
-def _smooth(images: Array, sides_mm: tuple[float, float]) -> Array:
-    """Averages over a Gaussian in the tank, which reach no further than an image does."""
-    from scipy.ndimage import gaussian_filter
-
-    return np.asarray(gaussian_filter(images, [0.0, *(SMOOTH_MM / side for side in sides_mm)], mode="nearest"))
+    return CheckedOrders(high, off.reshape(shape), errors.reshape(-1, *shape))
