@@ -166,13 +166,13 @@ def true_liquids(description: RigFile) -> tuple[Medium, Medium] | None:
 
 
 def true_bench(description: RigFile) -> "TrueBench | None":
-    """Lenses, places and level of a simulated bench; of a real one nobody knows them."""
+    """All that is true of a simulated bench, its lenses, places, level and stray light; of a real one nobody knows."""
     settings = _simulated_camera(description)
-    if settings is None or settings.boards is None:
+    if settings is None:
         return None
-    from drivers.simulated.bench_truth import random_bench
+    from drivers.simulated import bench_tank
 
-    return random_bench(settings.boards.seed, settings.boards.camera_shape, settings.boards.projector_shape)
+    return bench_tank.true_bench(settings)
 
 
 def is_as_described(description: RigFile) -> bool:

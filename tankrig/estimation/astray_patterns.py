@@ -28,8 +28,10 @@ FLOOR, FACE_LATTICES, SEED = 0.05, 8, 7
 """Reflectance that stands for any; lattices of paths for a pattern, and their seed."""
 FLOOR_LATTICES = 64
 """Lattices for a floor's pattern at one of the liquids nearby; eight tell how it is otherwise at others. Eight alone
-left ± 6 % over blocks of 50 mm, at all doses alike: σs of a bench with all effects came out 1.8, .8 and .3 % too large
-at three doses (by 64 and more .1, .6 and .1), and was known half as well."""
+left ± 6 % over blocks of 50 mm, at all doses alike: σs of a bench with all effects came out 1.8, .8 and .6 % too large
+at three doses, by 64 .4, .6 and .2, and of the thin one was known half as well."""
+MATT = Face("diffuse", FLOOR)
+"""That floor."""
 ROUGH, BATCHES = 0.05, 4
 """Tolerance and lattices of the image that a dark picture's light makes."""
 WIDTH_STEP = 0.1
@@ -39,10 +41,11 @@ KEPT = 24
 of two patterns at three doses, ask again and again."""
 ALIKE_SIGMA_T, ALIKE_ALBEDO, ALIKE_G = 0.008, 0.004, 0.004
 """Steps of σt's logarithm, of albedo and of g within which liquids have one pattern of a floor: its light changes by .5
-% there, and steps 2.5 times as wide had floors found 1.6 % too small. A pattern takes .5 CPU s, so that on a bench of
-glass a dose's first fit takes 1.2, and those of more frames, which find it computed, .1."""
-NEAR_SIGMA_T, NEAR_ALBEDO, NEAR_G = 0.2, 0.05, 0.05
-"""The same within which the many lattices at one liquid serve for the others."""
+% there, and steps 2.5 times as wide had floors found 1.6 % too small. A pattern takes .3 to .5 CPU s by eight
+lattices."""
+NEAR_SIGMA_T, NEAR_ALBEDO, NEAR_G = 0.06, 0.03, 0.016
+"""The same within which the many lattices at one liquid serve for the others: the eight differ from those at one by
+.12 to .31 of their own variance where it is .4 to 3 % away in σt, and by .86 where it is 10 %."""
 
 
 def halo(scene: Scene, image: Image) -> Array:
@@ -104,16 +107,13 @@ def floor(scene: Scene, _: Image) -> Array:
     liquid = scene.medium
     here = replace(scene, medium=_among(liquid, ALIKE_SIGMA_T, ALIKE_ALBEDO, ALIKE_G))
     nearby = replace(scene, medium=_among(liquid, NEAR_SIGMA_T, NEAR_ALBEDO, NEAR_G))
-    return (_by_faces(here, "floor", _MATT) + _more_of_floor(nearby)) / FLOOR
+    return (_by_faces(here, "floor", MATT) + _more_of_floor(nearby)) / FLOOR
 
 
 @lru_cache(maxsize=KEPT)
 def _more_of_floor(scene: Scene) -> Array:
     """What many lattices show of light by way of a floor that few do not: they err nearly alike at liquids nearby."""
-    return _by_faces(scene, "floor", _MATT, FLOOR_LATTICES) - _by_faces(scene, "floor", _MATT)
-
-
-_MATT = Face("diffuse", FLOOR)
+    return _by_faces(scene, "floor", MATT, FLOOR_LATTICES) - _by_faces(scene, "floor", MATT)
 
 
 def _among(medium: Medium, step: float, albedo_step: float, g_step: float) -> Medium:

@@ -42,8 +42,9 @@ LIGHTER = 0.5
 FIRMER, MOST_REFUSED = 4.0, 3
 """Times as closely that shapes are held where a place was not gone on from, and how often in a row that is done."""
 TELLING, MORE = 0.5, 1024
-"""Share of σs's variance, as one image's own noise leaves it, that noise of paths may add before so many lattices are
-followed in the end: of beads of .5 µm 256 more than doubled it, and σs came out 3.1 standard deviations too large."""
+"""Share of σs's variance, as one image's own noise and priors leave it, that noise of paths may add before so many
+lattices are followed in the end: of beads of .5 µm 256 more than doubled it, and σs came out 3.1 standard deviations
+too large."""
 NOWHERE = 0.05
 """Change of χ²/2 below which shapes held so lead nowhere: let go again at the same place they would go to where they
 were refused, until no centres are left (beads of .5 µm did so five times)."""
@@ -77,7 +78,7 @@ def by_prepared(
         best, moved = by_ladder(best, family, weight * MANY_ENOUGH, PREPARED_STEPS)
     best, versions, unsettled = by_centres(best, shots, versions, weight)
     if len(shots) == 1:
-        versions = _by_as_many_paths_as_tell(best, versions)
+        versions = _by_enough_paths(best, versions)
     last = accurate_problem(best.problem, shots, best, versions)
     best = solve(last, best.coordinates, weight * MANY_ENOUGH, FINE_STEPS, damping=0.0)
     return best, versions, unsettled if moved is None else moved
@@ -107,8 +108,8 @@ def share_by_paths(best: Evaluation, patterns: Image) -> float:
     return both / alone - 1.0
 
 
-def _by_as_many_paths_as_tell(best: Evaluation, versions: Versions) -> Versions:
-    """One image's models, made right where they are by `MORE` lattices of light paths if their noise tells."""
+def _by_enough_paths(best: Evaluation, versions: Versions) -> Versions:
+    """One image's models, made right where they are by `MORE` lattices of light paths where noise of fewer tells."""
     ((fine, _),), (medium,) = versions, best.media
     if not isinstance(fine, WithPrepared):
         return versions

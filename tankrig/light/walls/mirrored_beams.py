@@ -19,7 +19,7 @@ from tankrig.scene import Beam
 Array = NDArray[np.float64]
 
 NONE = -1
-"""No face."""
+"""Stands for no face: of a beam that no face has mirrored, of a line of sight that meets none."""
 
 
 class Source(NamedTuple):

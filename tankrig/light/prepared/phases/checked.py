@@ -117,7 +117,7 @@ def checked_at(high: HighAnswer, medium: Medium, known: Known | None = None, thr
 
 
 def checked_finely_at(high: HighAnswer, medium: Medium, lattices: int, threads: int = THREADS) -> CheckedOrders:
-    """The same by so many lattices, whatever noise they leave; 15 to 60 ms of CPU each."""
+    """The same by so many lattices, whatever noise they leave; 25 to 110 ms of CPU each."""
     return _made_right(high, *_by_all(_apart(high, medium, range(lattices), threads)))
 
 
