@@ -86,7 +86,7 @@ def fitted(
     """Each fit as the run goes on event by event, with the starts of first looks so far; every one finds `medium`."""
     starts: list[Medium] = []
 
-    def fit(photographs: list[object], models: list[object], start: Medium, *_: object) -> DoseFit:
+    def fit(photographs: list[object], models: list[object], start: Medium, *_: object, **__: object) -> DoseFit:
         if models[0] == LOOK:
             starts.append(start)
         return DoseFit(photographs[0].dose_ml, medium, (1e-6, 1e-5, 1e-3), gain=1.0, frames=1)
@@ -193,7 +193,7 @@ class Later(SheetsSoFar):
 
 def test_waves_that_come_after_the_photographs_are_heard_and_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The last steps of a dose may be its waves: what they say must stand in the journal all the same."""
-    monkeypatch.setattr(next_fit, "fit_dose_prepared", lambda *_: DoseFit(0.1, INK, frames=1))
+    monkeypatch.setattr(next_fit, "fit_dose_prepared", lambda *_, **__: DoseFit(0.1, INK, frames=1))
     monkeypatch.setattr(next_fit, "with_single", lambda one, _: replace(one, single=SingleScattering(0.01, 1.0)))
     later = Later()
     fitter, exposures = next_fit.Fitter((), AllReady(), plan(), sheets=later), seen_at(100.0)  # type: ignore[arg-type]

@@ -20,6 +20,7 @@ from tankrig.estimation.astray_patterns import (
     blur,
     by_width,
     floor,
+    floor_by_few,
     halo,
     more_blur,
     other_halo,
@@ -47,6 +48,8 @@ PATTERNS: dict[str, Pattern] = {
     "halo": halo, "veil": veil, "blur_mm2": blur,
     "floor": floor, "pane": panes, "black_level": black_level, "projector_halo": projector_halo,
 }  # fmt: skip
+QUICK_PATTERNS = PATTERNS | {"floor": floor_by_few}
+"""The same for who waits for a fit."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +66,15 @@ class Astray:
         (terms, rows, columns) what one standard deviation adds; None before `at`.
     beside
         (rows, columns) what is added besides, as patterns bend with their size.
+    quick
+        Whether patterns are noisy where that saves seconds.
     """
 
     scene: Scene
     sd: Mapping[str, float]
     patterns: Array | None = None
     beside: Array | float = 0.0
+    quick: bool = False
 
     def __post_init__(self) -> None:
         for name, sd in self.sd.items():
@@ -81,7 +87,7 @@ class Astray:
         scene, beside = replace(self.scene, medium=medium), np.zeros(image.shape)
         found = {name: float(size) * sd for (name, sd), size in zip(self.sd.items(), sizes, strict=True)}
         wider = of_width(scene, found.get("halo_width", 0.0))
-        patterns = []
+        pattern_of, patterns = QUICK_PATTERNS if self.quick else PATTERNS, []
         for name, sd in self.sd.items():
             mm2 = found[name]
             if name == "halo_width":
@@ -95,7 +101,7 @@ class Astray:
                 beside = beside + here - mm2 * slope
                 patterns.append(sd * slope)
             else:
-                patterns.append(sd * PATTERNS[name](wider, image))
+                patterns.append(sd * pattern_of[name](wider, image))
         return replace(self, patterns=np.stack(patterns), beside=beside)
 
 

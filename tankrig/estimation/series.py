@@ -178,7 +178,7 @@ def fit_liquid(
     start: Medium | Sequence[Medium] | None = None,
     progress: Told = lambda _: None,
     asked: Asked = Asked(),  # noqa: B008
-    nuisance: Mapping[str, float] | None = None,
+    astray: Sequence[Astray] = (),
 ) -> LiquidEstimate | None:
     """One liquid from several patterns with one gain.
 
@@ -197,8 +197,8 @@ def fit_liquid(
         Told in a few words what is being done; what it raises ends the fit.
     asked
         Which phase functions are searched; not Henyey–Greenstein's only by models that know any.
-    nuisance
-        As for `estimate_series`.
+    astray
+        What may go astray in each image and is fitted along, as much in all; none for nothing.
 
     Returns
     -------
@@ -220,7 +220,7 @@ def fit_liquid(
         fit = fitted(shots, blocks, scaling, progress, begin, starts=places or None)
     else:
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, densest=known)
-    fit = _with_nuisance(fit, scenes, nuisance)
+    fit = with_astray(fit, astray) if astray else fit
     found, likely = _liquid_at(fit, shots, asked)
     if found is None or likely is None:
         return found
@@ -228,7 +228,7 @@ def fit_liquid(
     for liquid in likely.liquids:
         progress("fitting spheres")
         asked = Asked(spheres(), near=liquid, likely=likely)
-        other = fit_liquid(observations, scenes, scaling, versions, None, progress, asked, nuisance)
+        other = fit_liquid(observations, scenes, scaling, versions, None, progress, asked, astray)
         if other is not None and other.rmse < AS_WELL * found.rmse:
             return other
     return found
@@ -313,7 +313,8 @@ def fit_series(
     else:
         densest = None if ink is None else in_tank(ink, water, float(doses.ml[highest]))
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, few, densest)
-    fit = _with_nuisance(fit, scenes, nuisance)
+    if nuisance:
+        fit = with_astray(fit, [Astray(scene, nuisance) for scene in scenes])
     progress("finding the errors")
     found, likely = _built(fit, doses, shots, asked)
     if likely is None:
@@ -327,11 +328,6 @@ def fit_series(
         if rms(other.rmse / found.rmse) < AS_WELL:
             return replace(other, verdict=f"{what_spheres_do()} {other.verdict}")
     return found
-
-
-def _with_nuisance(fit: Fit, scenes: Sequence[Scene], nuisance: Mapping[str, float] | None) -> Fit:
-    """With what may go astray, in all images alike."""
-    return with_astray(fit, [Astray(scene, nuisance) for scene in scenes]) if nuisance else fit
 
 
 def _models(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.astray import unmeasured
+from tankrig.estimation.astray import Astray, unmeasured
 from tankrig.estimation.followed import Model, in_water
 from tankrig.estimation.forward import models_of
 from tankrig.estimation.ink_blocks import in_tank
@@ -66,12 +66,17 @@ def fit_dose(
 
 
 def fit_dose_prepared(
-    photographs: Sequence[Photograph], models: Sequence[Prepared], start: Medium, phase: str | PhaseFunction = "hg"
+    photographs: Sequence[Photograph],
+    models: Sequence[Prepared],
+    start: Medium,
+    phase: str | PhaseFunction = "hg",
+    quick: bool = False,
 ) -> DoseFit | None:
     """The same by prepared models, one for each photograph, in milliseconds; without single scattering.
 
-    Where another phase function than Henyey–Greenstein's is asked for, the models must be prepared for any. None where
-    the photographs want a medium that the models were not prepared for.
+    Where another phase function than Henyey–Greenstein's is asked for, the models must be prepared for any. Light by
+    way of a floor takes seconds of each photograph, and is `quick` and noisy for who waits. None where the photographs
+    want a medium that the models were not prepared for.
 
     Raises
     ------
@@ -79,7 +84,8 @@ def fit_dose_prepared(
         When they cannot be fitted.
     """
     family = asked_for(phase, photographs[0].scene).family
-    return _fitted(photographs, [models_of(one.scene, one, None, family) for one in models], start, phase=phase)
+    prepared = [models_of(one.scene, one, None, family) for one in models]
+    return _fitted(photographs, prepared, start, phase=phase, quick=quick)
 
 
 def _fitted(
@@ -89,6 +95,7 @@ def _fitted(
     progress: Told = lambda _: None,
     phase: str | PhaseFunction = "hg",
     starts: Sequence[Medium] = (),
+    quick: bool = False,
 ) -> DoseFit | None:
     began, first = time.perf_counter(), photographs[0]
     scenes = [one.scene for one in photographs]
@@ -96,8 +103,9 @@ def _fitted(
     observations = observed([one.image for one in photographs], scenes, noises, masks)
     scaling, asked = Scaling.given("free", first.offset), asked_for(phase, scenes[0])
     along = unmeasured(scenes[0])
+    astray = [Astray(scene, along, quick=quick) for scene in scenes] if along else []
     begin = starts if start is None else start
-    found = fit_liquid(observations, scenes, scaling, prepared, begin, progress, asked, along)
+    found = fit_liquid(observations, scenes, scaling, prepared, begin, progress, asked, astray)
     if found is None:
         return None
     return DoseFit(

@@ -96,8 +96,8 @@ class Fitter:
     def finish(self) -> Fit | None:
         """A fit to be recorded: first each dose's last one as it is, then again with single scattering beside it.
 
-        Single scattering takes seconds on a bench, and order 1 a second or so; whoever waits for numbers does without
-        them. None where waves that came later have changed nothing.
+        Light by way of a floor without its noise takes seconds on a bench, single scattering too, and order 1 a second
+        or so; whoever waits for numbers does without them. None where waves that came later have changed nothing.
         """
         if self._passing:
             dose_ml = next(iter(self._passing))
@@ -105,12 +105,28 @@ class Fitter:
             self._bare[dose_ml] = fit, photographs
             return replace(fit, passing=False)
         if self._bare:
-            return self._beside(with_single(*self._bare.pop(next(iter(self._bare)))))
+            fit, photographs = self._bare.pop(next(iter(self._bare)))
+            return self._beside(with_single(self._finely(fit, photographs), photographs))
         for fit in self._unjudged:
             judged = self._beside(fit)
             if judged.order_one != fit.order_one:
                 return judged
         return None
+
+    def _finely(self, fit: DoseFit, photographs: list[Photograph]) -> DoseFit:
+        """The fit anew with a floor's light without its noise, for which nobody waits; as it is where there is none."""
+        if self._preparing is None or "floor" not in fit.astray:
+            return fit
+        models = self._preparing.models([one.scene for one in photographs], self._preparing.box(fit.medium))
+        if models is None:
+            return fit
+        try:
+            fine = fit_dose_prepared(photographs, models, fit.medium, self._phase)
+        except TankrigError:
+            return fit
+        if fine is None:
+            return fit
+        return replace(fine, left_out=fit.left_out, not_seen=fit.not_seen, newest=fit.newest)
 
     def _beside(self, fit: DoseFit) -> DoseFit:
         """A fit that is whole, with what order 1 has against it."""
@@ -231,7 +247,7 @@ class Fitter:
         self._of_patterns[dose_ml] = len(ready)
         models = self._preparing.models([one.scene for one in ready], box)
         try:
-            fit = None if models is None else fit_dose_prepared(ready, models, start, self._phase)
+            fit = None if models is None else fit_dose_prepared(ready, models, start, self._phase, quick=True)
         except TankrigError:
             return None  # the fit of all patterns says why
         if fit is None:
@@ -256,7 +272,7 @@ class Fitter:
         if look is None:
             try:
                 start = self._start(dose_ml) or self._look_start(dose_ml)
-                look = fit_dose_prepared(photographs[:1], models, start, self._phase)
+                look = fit_dose_prepared(photographs[:1], models, start, self._phase, quick=True)
             except TankrigError:
                 return None
         return None if look is None else replace(look, model=FIRST_LOOK, passing=True)
@@ -272,7 +288,7 @@ class Fitter:
                 self._awaited_in = box, start
                 self._preparing.want(scenes, box)
             return None
-        return fit_dose_prepared(photographs, models, start, self._phase)
+        return fit_dose_prepared(photographs, models, start, self._phase, quick=True)
 
     def _begin(self) -> None:
         """Have models prepared before there is anything to fit: for the ink expected, and for a first look."""
