@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tankrig.light import tank
 from tankrig.light.double import double_scattering_of
 from tankrig.light.entering import edged_and_smooth, entering, through_lens
 from tankrig.light.leaving import CameraLens
@@ -61,6 +62,32 @@ def test_a_prepared_models_order_2_of_smooth_light_comes_along_paths():
     assert np.sqrt(np.mean(off**2)) < 0.1  # by so few paths
     rays = replace(scene, projector=replace(scene.projector, halo=NO_HALO, black_level=0.0))
     assert not PathImages(rays, (1.0,)).twice_smooth(MEDIUM, 1, 1).any()
+
+
+def with_little_light():
+    """Rays with half a per cent of their light in a projector's halo."""
+    scene = a_dim_scene()
+    light = replace(scene.projector, halo=Halo(0.005, 25.0), black_level=0.0)
+    return CameraLens.of(replace(scene, projector=light)).wide
+
+
+def test_little_light_has_tables_as_much_coarser(monkeypatch):
+    """Fine tables of a halo of .4 % took 60 % of the time that a bench's fine derivatives did."""
+    asked = []
+    monkeypatch.setattr(tank, "twice_edged_of", lambda *_: 0.0)
+    monkeypatch.setattr(
+        tank, "_twice_smooth_of", lambda _scene, _media, tolerance, _others: asked.append(tolerance) or 0
+    )
+    twice_of(with_little_light(), [MEDIUM], 0.001)
+    assert 0.15 < asked[0] < 0.35
+
+
+@pytest.mark.long
+def test_coarse_tables_do_for_little_light():
+    """They err by 2 % of it."""
+    _, smooth = edged_and_smooth(with_little_light(), fine=False)
+    found, finely = (tank._twice_smooth_of(smooth, [MEDIUM], one)[0] for one in (0.2, 0.001))  # noqa: SLF001
+    assert 0.0 < apart(found, finely) < 0.05
 
 
 @pytest.mark.long

@@ -36,7 +36,7 @@ FEWEST, MOST = 64, 256
 NEAR, LITTLE_MORE = 16, 0.25
 """Lattices that may tell what is otherwise than at a medium nearby, four times as many where that adds more than so
 much of its variance there."""
-MOST_KNOWN = 6
+MOST_KNOWN = 3
 """Media whose lattices are kept, 15 MB each of a bench."""
 ENOUGH = 0.003
 """Error over the whole of orders ≥ 3 that does."""
