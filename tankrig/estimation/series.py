@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.astray import ASTRAY, Astray
 from tankrig.estimation.coordinates import Range, to_coordinates
-from tankrig.estimation.estimate import AS_WELL, Free, determined, nuisances_of, with_astray
+from tankrig.estimation.estimate import AS_WELL, Free, astray_from, determined, nuisances_of, with_astray
 from tankrig.estimation.fitting import fitted
 from tankrig.estimation.forward import family_models
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
@@ -301,6 +301,7 @@ def fit_series(
     length_mm = max(max(scene.tank.size_mm) for scene in scenes)
     blocks_of = ink_blocks(doses, length_mm)
     shots = [Shot(*one) for one in zip(observations, scenes, models, doses.of_image.tolist(), strict=True)]
+    astray = [Astray(scene, nuisance) for scene in scenes] if nuisance else []
     ink, water = (start, 0.0) if start is None or isinstance(start, Medium) else (start.ink, start.water.sigma_a)
     highest = doses.ml.size - 1
     few = [doses.of_image.tolist().index(dose) for dose in sorted({0, highest // 2, highest})]
@@ -309,12 +310,13 @@ def fit_series(
         if ink is not None:
             own = np.append(to_coordinates(ink), water * length_mm)
             begin = np.append(np.clip(own, blocks[0].low, blocks[0].high), np.zeros(doses.ml.size))
+            if astray:
+                begin, blocks = astray_from(begin, shots, blocks, scaling, astray)
         fit = fitted(shots, blocks, scaling, progress, begin, few)
     else:
         densest = None if ink is None else in_tank(ink, water, float(doses.ml[highest]))
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, few, densest)
-    if nuisance:
-        fit = with_astray(fit, [Astray(scene, nuisance) for scene in scenes])
+    fit = with_astray(fit, astray) if astray else fit
     progress("finding the errors")
     found, likely = _built(fit, doses, shots, asked)
     if likely is None:

@@ -132,11 +132,11 @@ def _less(forward: Forward, noise: Image) -> Forward:
 def rough_problem(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, share: float = COARSE) -> Problem:
     """The problem of the cheap models, with errors of a share of the light, about."""
     views = []
-    for shot in shots:
+    for number, shot in enumerate(shots):
         seen, coarse = shot.observation, shot.models.coarse
         ambient = float(np.percentile(seen.image[seen.used], 5)) if scaling.offset is None else scaling.offset
         error = share * np.maximum(seen.image - ambient, 0.0)
-        views.append(shot.view(image_of(coarse), shot.slopes_of(coarse), error))
+        views.append(replace(shot.view(image_of(coarse), shot.slopes_of(coarse), error), number=number))
     quick = all(shot.models.quick(shot.models.coarse) for shot in shots)
     noisy = any(is_noisy(shot.models, shot.models.coarse) for shot in shots)
     return Problem(tuple(views), blocks, scaling, quick=quick, noisy=noisy)
