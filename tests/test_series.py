@@ -205,6 +205,28 @@ def test_a_halo_and_a_veil_that_nobody_measured_are_fitted_along(seed: int) -> N
     assert "halo = +" in along.verdict
 
 
+def test_a_series_that_begins_from_a_known_liquid_stays_where_its_models_are() -> None:
+    """Its first steps left out a floor that was half of what a thin dose showed, and led to twice the density, where a
+    bench had no prepared models and followed light paths for most of an hour."""
+    images = [1e6 * astray(tank_like(liquid(dose)).image, 0.0, 0.3) for dose in DOSES_ML]
+    noises = [0.002 * float(image.max()) for image in images]
+    observations = [observe(image, (40, 60), noise) for image, noise in zip(images, noises, strict=True)]
+    doses = Doses(DOSES_ML, np.zeros(DOSES_ML.size), np.arange(DOSES_ML.size))
+    asked: list[Medium] = []
+
+    def told(medium: Medium) -> Prediction:
+        asked.append(medium)
+        return tank_like(medium)
+
+    found = fit_series(
+        observations, [SCENE] * DOSES_ML.size, doses, Scaling(None, 0.0), models(lambda *_: told),
+        replace(INK, sigma_s=1.01 * INK.sigma_s), lambda _: None, nuisance={"veil": 0.3},
+    )  # fmt: skip
+    densest = max(DOSES_ML) * INK.sigma_s
+    assert found.ink.sigma_s == pytest.approx(INK.sigma_s, rel=0.02)
+    assert max(one.sigma_s for one in asked) < 1.2 * densest
+
+
 def test_what_cannot_go_astray_in_a_series_is_refused() -> None:
     with pytest.raises(SceneError, match="none of a series"):
         tankrig.estimate_series(
