@@ -76,7 +76,7 @@ def test_little_light_has_tables_as_much_coarser(monkeypatch):
     asked = []
     monkeypatch.setattr(tank, "twice_edged_of", lambda *_: 0.0)
     monkeypatch.setattr(
-        tank, "_twice_smooth_of", lambda _scene, _media, tolerance, _others: asked.append(tolerance) or 0
+        tank, "twice_smooth_of", lambda _scene, _media, tolerance, _others: asked.append(tolerance) or 0
     )
     twice_of(with_little_light(), [MEDIUM], 0.001)
     assert 0.15 < asked[0] < 0.35
@@ -86,7 +86,7 @@ def test_little_light_has_tables_as_much_coarser(monkeypatch):
 def test_coarse_tables_do_for_little_light():
     """They err by 2 % of it."""
     _, smooth = edged_and_smooth(with_little_light(), fine=False)
-    found, finely = (tank._twice_smooth_of(smooth, [MEDIUM], one)[0] for one in (0.2, 0.001))  # noqa: SLF001
+    found, finely = (tank.twice_smooth_of(smooth, [MEDIUM], one)[0] for one in (0.2, 0.001))
     assert 0.0 < apart(found, finely) < 0.05
 
 

@@ -123,7 +123,7 @@ def twice_of(
     # Where light is little its tables may be as much coarser: on a bench .4 % of it took 60 % of the time of fine ones.
     faint, bright = (sum(beam.power for beam in entering(one, fine=False).projector.beams) for one in (smooth, edged))
     share = faint / ((faint + bright) or 1.0)
-    return images + _twice_smooth_of(smooth, media, tolerance / (share or 1.0), others)
+    return images + twice_smooth_of(smooth, media, tolerance / (share or 1.0), others)
 
 
 def twice_edged_of(
@@ -137,7 +137,7 @@ def twice_edged_of(
     return np.asarray(sum(share * double_scattering_of(one, media, tolerance, known, others) for share, one in parts))
 
 
-def _twice_smooth_of(
+def twice_smooth_of(
     scene: Scene, media: Sequence[Medium], tolerance: float, others: Sequence[PhaseFunction] = ()
 ) -> Array:
     """Order 2 of smooth light, which a calibrated camera looks up on coarse cells of the surface."""
