@@ -119,20 +119,21 @@ def test_a_floor_is_seen_without_its_noise_once_nobody_waits(monkeypatch: pytest
 
     What stands in the journal in the end must not have the noise: σs of a thin dose came out 1.8 % too large.
     """
-    rough, fine = Medium(0.0004, 0.0082, 0.6), Medium(0.0004, 0.008, 0.6)
+    foreseen, rough, fine = (Medium(0.0004, sigma_s, 0.6) for sigma_s in (0.007, 0.0082, 0.008))
+    assert box_for(foreseen) != box_for(rough)
 
     def fit(*_: object, quick: bool = False) -> DoseFit:
         return DoseFit(0.1, rough if quick else fine, model="prepared", astray={"floor": (0.04, 0.01)})
 
     monkeypatch.setattr(next_fit, "fit_dose_prepared", fit)
     monkeypatch.setattr(next_fit, "with_single", lambda fit, _: replace(fit, single=SingleScattering(0.008, 1.0)))
-    ready = Ready()
-    ready.there = True
-    fitter, exposures = next_fit.Fitter([DoseFit(0.1, rough)], ready, plan()), seen_at(100.0)  # type: ignore[arg-type]
+    boxes, exposures = Boxes(), seen_at(100.0)
+    boxes.ready.add(box_for(foreseen))  # where the fit ends models would be prepared for another box
+    fitter = next_fit.Fitter([DoseFit(0.1, foreseen)], boxes, plan())  # type: ignore[arg-type]
     fits = [fitter.next(exposures, last=True), fitter.finish(), fitter.finish()]
-    assert [one.medium for one in fits if isinstance(one, DoseFit)] == [rough, rough, fine]
-    assert isinstance(fits[2], DoseFit)
-    assert fits[2].newest == fits[0].newest  # type: ignore[union-attr]
+    found = [(one.medium, one.newest) for one in fits if isinstance(one, DoseFit)]
+    assert [medium for medium, _ in found] == [rough, rough, fine]
+    assert len({newest for _, newest in found}) == 1
 
 
 def test_a_first_look_tells_which_models_the_first_dose_needs(monkeypatch: pytest.MonkeyPatch) -> None:

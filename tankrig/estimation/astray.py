@@ -49,7 +49,7 @@ PATTERNS: dict[str, Pattern] = {
     "floor": floor, "pane": panes, "black_level": black_level, "projector_halo": projector_halo,
 }  # fmt: skip
 QUICK_PATTERNS = PATTERNS | {"floor": floor_by_few}
-"""The same for who waits for a fit."""
+"""What an image gains, by few light paths where many take seconds, for a person who waits for a fit."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Astray:
     beside
         (rows, columns) what is added besides, as patterns bend with their size.
     quick
-        Whether patterns are noisy where that saves seconds.
+        Whether patterns may be noisy, where that saves seconds.
     """
 
     scene: Scene

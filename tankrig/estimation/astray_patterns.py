@@ -31,7 +31,7 @@ FLOOR_LATTICES = 64
 left ± 6 % over blocks of 50 mm, at all doses alike: σs of a bench with all effects came out 1.8, .8 and .6 % too large
 at three doses, by 64 .4, .6 and .2, and of the thin one was known half as well."""
 MATT = Face("diffuse", FLOOR)
-"""That floor."""
+"""A floor of that reflectance."""
 ROUGH, BATCHES = 0.05, 4
 """Tolerance and lattices of the image that a dark picture's light makes."""
 WIDTH_STEP = 0.1
@@ -109,7 +109,7 @@ def floor(scene: Scene, image: Image) -> Array:
 
 
 def floor_by_few(scene: Scene, _: Image) -> Array:
-    """The same in a tenth of the time, with 6 % of noise over blocks of 50 mm."""
+    """The same in a ninth of the time, with 6 % of noise over blocks of 50 mm."""
     here = replace(scene, medium=_among(scene.medium, ALIKE_SIGMA_T, ALIKE_ALBEDO, ALIKE_G))
     return _by_faces(here, "floor", MATT) / FLOOR
 

@@ -21,7 +21,6 @@ from tankrig.estimation.light_beside import BESIDE, BesideBlock
 from tankrig.estimation.misfit import moved_unseen
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.optimiser import polish
-from tankrig.estimation.parameters import Block
 from tankrig.estimation.phase_answer import (
     Asked,
     answer_of,
@@ -39,7 +38,7 @@ from tankrig.estimation.result import Estimate as Estimate
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import Told
 from tankrig.estimation.set_up import Misalignment, SetUpBlock
-from tankrig.estimation.shots import Fit, Shot, rough_problem
+from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.spheres import spheres
 from tankrig.estimation.uncertainty import identifiable, overconfidence, stretches
 from tankrig.estimation.verdict import (
@@ -60,6 +59,7 @@ from tankrig.estimation.verdict import (
     what_was_left_out,
 )
 from tankrig.estimation.versions import Models
+from tankrig.estimation.with_astray import with_astray
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
@@ -325,47 +325,6 @@ def _less_sure(model: Callable[[Medium], Prediction], error: Array, liquid: Medi
     found = model(liquid)
     known = 0.0 if found.stderr is None else np.asarray(found.stderr, float)
     return replace(found, stderr=np.hypot(known, error))
-
-
-def astray_from(
-    start: Array, shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, astray: Sequence[Astray]
-) -> tuple[Array, tuple[Block, ...]]:
-    """Coordinates and blocks to begin from where it is known about what images are of: with what may go astray, none of
-    it at first, by its patterns there.
-
-    A series of a thin dose has its optimum elsewhere without a floor's light, which is half of what is seen there: a
-    bench's fit went to twice the density, beyond all that had been prepared, and stayed there.
-    """
-    at, none = rough_problem(shots, blocks, scaling).at(start), np.zeros(len(astray[0].sd))
-    patterns = tuple(
-        replace(one, quick=True).at(medium, shot.models.coarse(medium).image, none)
-        for one, shot, medium in zip(astray, shots, at.media, strict=True)
-    )
-    return np.concatenate([start, none]), (*blocks, AstrayBlock(patterns, np.ones(none.size)))
-
-
-def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
-    """The fit with what may go astray in each image; patterns follow the liquid, so it is repeated."""
-    best, none = fit.optimum, np.zeros(len(astray[0].sd))
-    views = tuple(replace(view, number=number) for number, view in enumerate(best.problem.views))
-    before = tuple(block for block in best.problem.blocks if not isinstance(block, AstrayBlock))
-    begun = len(before) < len(best.problem.blocks)  # with sizes as the last coordinates, see `astray_from`
-    at = best.coordinates if begun else np.concatenate([best.coordinates, none])
-    for _ in range(ALIGNINGS):
-        cost, media = best.cost, best.media
-        parts = zip(astray, media, views, strict=True)
-        sizes = at[at.size - none.size :]
-        patterns = tuple(one.at(medium, view.forward(medium), sizes) for one, medium, view in parts)
-        block = AstrayBlock(patterns, np.ones(none.size))
-        problem = replace(best.problem, views=views, blocks=(*before, block))
-        sensitivity, believed = problem.at(at).sensitivity, problem.believed(block)
-        noise, errors = [view.observation.noise for view in views], [view.error for view in views]
-        weight = overconfidence(sensitivity, believed, noise, errors)
-        best = polish(replace(problem, blocks=(*before, replace(block, weight=weight))), at)
-        at = best.coordinates
-        if abs(cost - best.cost) < ALIGNED:
-            break
-    return replace(fit, optimum=best)
 
 
 def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estimate, PhaseTold, LikelySpheres | None]:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.astray import ASTRAY, Astray
 from tankrig.estimation.coordinates import Range, to_coordinates
-from tankrig.estimation.estimate import AS_WELL, Free, astray_from, determined, nuisances_of, with_astray
+from tankrig.estimation.estimate import AS_WELL, Free, determined, nuisances_of
 from tankrig.estimation.fitting import fitted
 from tankrig.estimation.forward import family_models
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
@@ -60,6 +60,7 @@ from tankrig.estimation.verdict import (
     what_spheres_do,
 )
 from tankrig.estimation.versions import Models
+from tankrig.estimation.with_astray import astray_from, with_astray
 from tankrig.light.rays import shift_invariant
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction

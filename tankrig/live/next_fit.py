@@ -70,6 +70,7 @@ class Fitter:
         self._passing: dict[float, tuple[DoseFit, list[Photograph]]] = {}
         self._bare: dict[float, tuple[DoseFit, list[Photograph]]] = {}
         self._of_patterns: dict[float, int] = {}
+        self._box: dict[float, Box] = {}
         self.waiting = False
         self._awaited = False
         self._awaited_in: tuple[Box, Medium] = LOOK, LOOK_START
@@ -114,12 +115,11 @@ class Fitter:
         return None
 
     def _finely(self, fit: DoseFit, photographs: list[Photograph]) -> DoseFit:
-        """The fit anew with a floor's light without its noise, for which nobody waits; as it is where there is none."""
+        """The fit anew by many light paths by way of the floor, for which nobody waits; as it is where it has none."""
         if self._preparing is None or "floor" not in fit.astray:
             return fit
-        models = self._preparing.models([one.scene for one in photographs], self._preparing.box(fit.medium))
-        if models is None:
-            return fit
+        models = self._preparing.models([one.scene for one in photographs], self._box[fit.dose_ml])
+        assert models is not None  # which the fit is by
         try:
             fine = fit_dose_prepared(photographs, models, fit.medium, self._phase)
         except TankrigError:
@@ -288,6 +288,7 @@ class Fitter:
                 self._awaited_in = box, start
                 self._preparing.want(scenes, box)
             return None
+        self._box[photographs[0].dose_ml] = box
         return fit_dose_prepared(photographs, models, start, self._phase, quick=True)
 
     def _begin(self) -> None:

@@ -1,0 +1,60 @@
+"""Fits with what light may go astray: along from a start that is known, or from the optimum without it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tankrig.estimation.astray import Astray, AstrayBlock
+from tankrig.estimation.optimiser import polish
+from tankrig.estimation.parameters import Block
+from tankrig.estimation.scaling import Scaling
+from tankrig.estimation.shots import Fit, Shot, rough_problem
+from tankrig.estimation.uncertainty import overconfidence
+
+Array = NDArray[np.float64]
+
+REPEATS, SETTLED = 5, 2.0
+"""Times at most that patterns are made anew for the liquid found, and the change of χ²/2 below which that is over."""
+
+
+def astray_from(
+    start: Array, shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, astray: Sequence[Astray]
+) -> tuple[Array, tuple[Block, ...]]:
+    """Coordinates and blocks to begin from where it is known about what images are of: with what may go astray, none of
+    it at first, by its patterns there.
+
+    A series of a thin dose has its optimum elsewhere without a floor's light, which is half of what is seen there: a
+    bench's fit went to twice the density, beyond all that had been prepared, and stayed there.
+    """
+    at, none = rough_problem(shots, blocks, scaling).at(start), np.zeros(len(astray[0].sd))
+    patterns = tuple(
+        replace(one, quick=True).at(medium, shot.models.coarse(medium).image, none)
+        for one, shot, medium in zip(astray, shots, at.media, strict=True)
+    )
+    return np.concatenate([start, none]), (*blocks, AstrayBlock(patterns, np.ones(none.size)))
+
+
+def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
+    """The fit with what may go astray in each image; patterns follow the liquid, so it is repeated."""
+    best, none = fit.optimum, np.zeros(len(astray[0].sd))
+    views = best.problem.views
+    before = tuple(block for block in best.problem.blocks if not isinstance(block, AstrayBlock))
+    begun = len(before) < len(best.problem.blocks)  # by `astray_from`, with sizes as the last coordinates
+    at = best.coordinates if begun else np.concatenate([best.coordinates, none])
+    for _ in range(REPEATS):
+        cost, media = best.cost, best.media
+        parts = zip(astray, media, views, strict=True)
+        sizes = at[at.size - none.size :]
+        patterns = tuple(one.at(medium, view.forward(medium), sizes) for one, medium, view in parts)
+        block = AstrayBlock(patterns, np.ones(none.size))
+        problem = replace(best.problem, blocks=(*before, block))
+        sensitivity, believed = problem.at(at).sensitivity, problem.believed(block)
+        noise, errors = [view.observation.noise for view in views], [view.error for view in views]
+        weight = overconfidence(sensitivity, believed, noise, errors)
+        best = polish(replace(problem, blocks=(*before, replace(block, weight=weight))), at)
+        at = best.coordinates
+        if abs(cost - best.cost) < SETTLED:
+            break
+    return replace(fit, optimum=best)
