@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tankrig
+from tankrig.light import order_one
 from tankrig.light.double import double_scattering
 from tankrig.light.entering import entering, through_lens
 from tankrig.light.leaving import CameraLens
@@ -176,6 +177,21 @@ def test_liquids_at_once_are_seen_through_a_lens_as_one_by_one():
     for image, medium in zip(once_seen(scene, media), media, strict=True):
         alone = CameraLens.of(scene).order_one(lambda seen, medium=medium: once(replace(seen, medium=medium))[None])[1]
         np.testing.assert_allclose(image, alone[0], rtol=1e-12, atol=1e-12 * alone.max())
+
+
+def test_a_faint_halo_is_on_coarse_cells_what_it_is_on_fine_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Order 1 of a hundredth of the light took most of an image's time in a tank of glass."""
+    scene = a_calibrated_scene((3.157, 0.0, 0.0), 6.0, (54, 80))
+    glass = Face("glass", thickness_mm=6.0)
+    tank = replace(scene.tank, entry="glass", wall_mm=6.0, faces=Faces(Face("glass"), glass, glass, glass))
+    scene = replace(scene, tank=tank, projector=replace(scene.projector, halo=Halo(0.004, 24.0)))
+    coarse = once_seen(scene, [scene.medium])
+    monkeypatch.setattr(order_one, "HALO_OFF", 0.0)
+    monkeypatch.setattr(order_one, "HARDLY_ANY", 0.0)
+    fine = once_seen(scene, [scene.medium])
+    dark = once_seen(replace(scene, projector=replace(scene.projector, halo=Halo(0.0, 24.0))), [scene.medium])
+    assert apart(dark, fine) > 0.001
+    assert 0.0 < apart(coarse, fine) < 0.0002
 
 
 def test_a_camera_that_sees_light_run_down_its_picture_shows_the_same_tank():

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.registry import open_device
 from drivers.rig import SIMULATED, load_rig_file
-from drivers.simulated import bench_ink, bench_multiple
+from drivers.simulated import bench_ink, bench_multiple, bench_single
 from drivers.simulated.bench_multiple import Smoother
 from drivers.simulated.bench_optics import BACK_MM, DEPTHS_MM, defocus_px, thrown_in_depth
 from drivers.simulated.bench_single import mirrored_once, scattered_once, shown_by_floor
@@ -94,6 +94,32 @@ def test_light_of_a_halo_is_scattered_too(bench: TrueBench) -> None:
     beside = back_without < 0.01 * back_without.max()
     assert back.sum() == pytest.approx(forth.sum(), rel=0.004)
     assert (back - back_without)[beside].sum() == pytest.approx((forth - forth_without)[beside].sum(), rel=0.02)
+
+
+def test_even_light_is_followed_at_few_points_as_at_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A white picture's, and that of a halo over the whole wall, is even but for its ends; a bench's pictures took
+    three times as long."""
+    glass = replace(random_bench(5, CAMERA, PROJECTOR), stray=TrueStray(projector_halo=0.02, projector_halo_mm=23.0))
+    white = pattern((slice(None), slice(None)))
+    few = [scattered_once(glass, thrown_in_depth(glass, light), INK) for light in (white, pattern(LEFT, RIGHT))]
+    monkeypatch.setattr(bench_single, "LITTLE", -1.0)
+    monkeypatch.setattr(bench_single, "FAINT", -1.0)
+    many = [scattered_once(glass, thrown_in_depth(glass, light), INK) for light in (white, pattern(LEFT, RIGHT))]
+    for one, other in zip(few, many, strict=True):
+        assert 0.0 < np.linalg.norm(one - other) < 1e-4 * np.linalg.norm(other)
+
+
+def test_even_light_is_put_together_for_the_monte_carlo(bench: TrueBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A white picture had 18,000 beams, and took minutes."""
+    white = pattern((slice(None), slice(None)))
+    few = bench_ink.true_scene(bench, white, INK, 15)
+    monkeypatch.setattr(bench_ink, "EVENLY", -1.0)
+    many = bench_ink.true_scene(bench, white, INK, 15)
+    assert len(few.projector.beams) < 0.2 * len(many.projector.beams)
+    powers = [sum(beam.power for beam in one.projector.beams) for one in (few, many)]
+    assert powers[0] == pytest.approx(powers[1], rel=1e-9)
+    images = [first_order(one) for one in (few, many)]
+    assert np.linalg.norm(images[0] - images[1]) < 0.003 * np.linalg.norm(images[1])
 
 
 @pytest.mark.parametrize("wall", ["entry", pytest.param("far", marks=pytest.mark.long), "left", "right"])

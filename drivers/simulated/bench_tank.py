@@ -13,7 +13,7 @@ from .picture_store import PictureStore
 from .settings import SimulatedCameraSettings
 from .tank import Radiance, seed_of
 
-_VERSION = 4
+_VERSION = 5
 """To be raised when a picture of the same changes, so that none from before is taken for it."""
 _KEPT = 12
 _EVEN = 4.0

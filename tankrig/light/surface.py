@@ -101,7 +101,10 @@ def to_camera(scene: Scene, cells: Array, cell_mm: tuple[float, float]) -> Array
 
 
 def many_to_camera(scene: Scene, images: Array, cell_mm: tuple[float, float]) -> Array:
-    """`to_camera` of (n, rows, columns) images, by one sparse matrix: for a tenth of the time where there are many."""
+    """`to_camera` of (n, rows, columns) images, by one sparse matrix, which is kept.
+
+    For a tenth of the time where there are many, or where the same camera looks again.
+    """
     from scipy.interpolate import make_interp_spline
 
     length, width, _ = scene.tank.size_mm
@@ -114,7 +117,7 @@ def many_to_camera(scene: Scene, images: Array, cell_mm: tuple[float, float]) ->
     return np.asarray(seen.T.reshape(len(images), *scene.camera.shape))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)  # a lens looks at three parts of its picture, and at cells of several sides
 def _splines_seen(camera: Camera, tank: Tank, shape: tuple[int, int], cell_mm: tuple[float, float]) -> "csr_array":
     """(pixels, splines) what the camera's pixels show of each cubic spline through cells."""
     from scipy.interpolate import BSpline, make_interp_spline

@@ -23,7 +23,7 @@ from tankrig.light.line_of_sight import SharpBeam, add_across_sights
 from tankrig.light.liquids import Liquids, liquids_of
 from tankrig.light.quadrature import PixelRules, pixel_rules
 from tankrig.light.rays import Edges, Geometry, Ray, light_ray, light_sources, sight_line
-from tankrig.light.surface import on_surface, to_camera
+from tankrig.light.surface import many_to_camera, on_surface
 from tankrig.light.walls.faces import (
     ENTRY,
     FAR,
@@ -109,7 +109,7 @@ class OnSurface(NamedTuple):
         """(media, rows, columns) of a scene's camera, which sees it from the same viewpoint."""
         if scene.camera.kind != "calibrated":
             return self.images
-        return np.array([to_camera(scene, image, (self.cell_mm, self.cell_mm)) for image in self.images])
+        return many_to_camera(scene, self.images, (self.cell_mm, self.cell_mm))
 
 
 def by_walls_of(
