@@ -85,6 +85,18 @@ def test_a_run_that_goes_on_is_not_fitted_again_where_it_was_fitted(monkeypatch:
     assert starts == [(0.2, Medium(0.002, 0.04, 0.5))]
 
 
+def test_a_rough_fit_of_a_run_that_was_too_busy_is_made_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dose would else keep its first fit, which sees the floor by few light paths, with errors as wide."""
+    monkeypatch.setattr(next_fit, "fit_dose", lambda photographs, *_, **__: DoseFit(photographs[0].dose_ml, INK))
+    rough = DoseFit(0.1, INK, frames=1, model="prepared", astray={"floor": (0.02, 0.01)})
+    exposures = Exposures(plan())
+    exposures.take(dosed(100.0), None)
+    exposures.take(frame(PATTERNS["sheet"], 2), np.full((40, 60), 500, np.uint16))
+    assert isinstance(next_fit.Fitter([rough]).next(exposures, last=True), DoseFit)
+    whole = replace(rough, single=SingleScattering(0.02, 1.0))
+    assert next_fit.Fitter([whole]).next(exposures, last=True) is None
+
+
 def test_a_dose_waits_for_its_models_then_each_frame_is_fitted_and_the_last_fit_is_whole(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

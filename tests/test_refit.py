@@ -14,7 +14,7 @@ from tankrig.light.tank import tank_image
 from tankrig.live import refit as refitting
 from tankrig.live.preparing import Preparation
 from tankrig.live.refit import Unfitted, refit, unfitted
-from tankrig.live.results import DoseFit, SeriesFit, diluted, fits_in, to_fields
+from tankrig.live.results import DoseFit, SeriesFit, SingleScattering, diluted, fits_in, to_fields
 from tankrig.pattern.wall import Wall
 from tankrig.report import write_report
 from tankrig.report.timing import spans_of
@@ -100,6 +100,19 @@ def test_a_run_that_ended_too_early_for_its_fits_gets_them_by_one_command(
     assert len(open_run(run).journal) == lines
     page = write_report(run).read_text(encoding="utf-8")
     assert "not fitted" not in page
+
+
+def test_a_rough_fit_from_while_a_run_went_on_is_none_yet(run: Path) -> None:
+    """A run that was too busy to its end would keep it; `refit` said that everything is fitted."""
+    journal = run / "journal.jsonl"
+    lines = journal.read_text(encoding="utf-8").splitlines(keepends=True)
+    assert json.loads(lines[-1])["kind"] == "end"
+    journal.write_text("".join(lines[:-1]), encoding="utf-8")
+    whole = DoseFit(0.1, Medium(0.001, 0.008, 0.5), frames=1000, single=SingleScattering(0.009, 1.0))
+    for fit, missing in ((replace(whole, single=None, astray={"floor": (0.02, 0.01)}), (0.1, 0.2)), (whole, (0.2,))):
+        with RunWriter(run) as writer:
+            writer.put("fit", **to_fields(fit))
+        assert unfitted(open_run(run)).doses_ml == missing
 
 
 def test_a_series_that_shows_another_phase_function_is_gone_on_with(

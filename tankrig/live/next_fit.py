@@ -76,7 +76,7 @@ class Fitter:
         self._awaited_in: tuple[Box, Medium] = LOOK, LOOK_START
         for fit in earlier:
             if isinstance(fit, DoseFit):
-                self._fitted[fit.dose_ml] = fit.frames + fit.left_out
+                self._fitted[fit.dose_ml] = 0 if fit.rough else fit.frames + fit.left_out
                 self._keep(fit)
         if self._latest is None:
             self._begin()

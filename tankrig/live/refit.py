@@ -66,7 +66,8 @@ class Unfitted:
 def unfitted(run: Run) -> Unfitted:
     """What a run lacks, by its journal alone: doses whose lit frames are not all in their last fit, and the series.
 
-    A fit that was made after the run's end has seen all that can be read.
+    Nor are they in a rough fit, whose run was too busy for another one. A fit made after the run's end has seen
+    all that can be read.
     """
     waves = wave_names(run)
     lit = {key for key, pattern in run.patterns.items() if pattern.pixels.any() and pattern.name not in waves}
@@ -78,7 +79,8 @@ def unfitted(run: Run) -> Unfitted:
     doses, series = fits_in([event.fields for event in fits_that_hold(run)])
     ended = run.end.seq if run.end is not None else math.inf
     since = {event.get("dose_ml") for event in run.fits if event.seq > ended and "error" not in event.fields}
-    fitted = {one.dose_ml: math.inf if one.dose_ml in since else one.frames + one.left_out for one in doses}
+    counted = {one.dose_ml: 0 if one.rough else one.frames + one.left_out for one in doses}
+    fitted = {dose_ml: math.inf if dose_ml in since else seen for dose_ml, seen in counted.items()}
     missing = tuple(dose_ml for dose_ml in sorted(frames) if fitted.get(dose_ml, 0) < frames[dose_ml])
     whole = series is not None and len(series.doses_ml) >= len(frames)
     further = whole and series is not None and series.doubted and PhotographPlan.of_run(run).may_go_further

@@ -140,6 +140,11 @@ class DoseFit:
     astray: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     order_one: str = ""
 
+    @property
+    def rough(self) -> bool:
+        """Whether it saw a floor's light by few paths, as first fits do, and another one was to come."""
+        return self.single is None and "floor" in self.astray
+
 
 @dataclass(frozen=True)
 class SeriesFit:
