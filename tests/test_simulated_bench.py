@@ -99,12 +99,12 @@ def test_light_of_a_halo_is_scattered_too(bench: TrueBench) -> None:
 def test_even_light_is_followed_at_few_points_as_at_many(monkeypatch: pytest.MonkeyPatch) -> None:
     """A white picture's, and that of a halo over the whole wall, is even but for its ends; a bench's pictures took
     three times as long."""
-    glass = replace(random_bench(5, CAMERA, PROJECTOR), stray=TrueStray(projector_halo=0.02, projector_halo_mm=23.0))
+    halo = replace(random_bench(5, CAMERA, PROJECTOR), stray=TrueStray(projector_halo=0.02, projector_halo_mm=23.0))
     white = pattern((slice(None), slice(None)))
-    few = [scattered_once(glass, thrown_in_depth(glass, light), INK) for light in (white, pattern(LEFT, RIGHT))]
+    few = [scattered_once(halo, thrown_in_depth(halo, light), INK) for light in (white, pattern(LEFT, RIGHT))]
     monkeypatch.setattr(bench_single, "LITTLE", -1.0)
     monkeypatch.setattr(bench_single, "FAINT", -1.0)
-    many = [scattered_once(glass, thrown_in_depth(glass, light), INK) for light in (white, pattern(LEFT, RIGHT))]
+    many = [scattered_once(halo, thrown_in_depth(halo, light), INK) for light in (white, pattern(LEFT, RIGHT))]
     for one, other in zip(few, many, strict=True):
         assert 0.0 < np.linalg.norm(one - other) < 1e-4 * np.linalg.norm(other)
 

@@ -155,7 +155,11 @@ def _summed(
     bench: TrueBench, sights: tuple[_Sight, ...], thrown: Array, ln_of: Callable[[_Sight], Array],
     step_mm: float = _STEP_MM,
 ) -> Array:  # fmt: skip
-    """Light along lines of sight, W/mm²/sr; `ln_of` gives the logarithm of what a white pixel's light brings per mm."""
+    """Light along lines of sight, W/mm²/sr.
+
+    `ln_of` gives the logarithm of what a white pixel's light brings per mm; `step_mm` is from point to point down the
+    water where light has edges.
+    """
     image = np.zeros(bench.camera.shape)
     if thrown.any():
         layers_a_mm = (len(thrown) - 1) / float(DEPTHS_MM[-1])
@@ -307,12 +311,11 @@ def _gather(
 
     Σ thrown · strength Δz over points of the line at even steps.
     """
-    (length, half_width, level), (pictures, layers_a_mm, tiles, finer) = water, thrown
     planes, node_rows, node_columns, count = nodes.shape
     rows, columns = image.shape
     above, here, change = np.empty(count), np.empty(count), np.empty(count)
     between = np.empty((node_columns, planes, count))  # two rows of nodes
-    spacing = level / (planes - 1)
+    spacing = water.level / (planes - 1)
     most = max(1, math.ceil(spacing / step))
     for row in range(rows):
         at = row * (node_rows - 1) / max(rows - 1, 1)
@@ -332,37 +335,45 @@ def _gather(
             for plane in range(planes):
                 for k in range(count):
                     here[k] = (1.0 - right) * between[c, plane, k] + right * between[c + 1, plane, k]
-                if plane > 0 and _may_be_lit(above, here, level, length, half_width):
-                    u, v = 0.5 * (above[_U] + here[_U]), 0.5 * (above[_V] + here[_V])
-                    far = max(abs(here[_U] - above[_U]), abs(here[_V] - above[_V])) * finer > _TILE
-                    kind = _tile(tiles, (v + 0.5) * finer - 0.5, (u + 0.5) * finer - 0.5)
-                    if kind == _DARK and not far:
-                        for k in range(count):
-                            above[k] = here[k]
-                        continue
-                    within = kind == _EVEN and not far and _is_within(above, here, level, length, half_width)
-                    points = min(_EVEN_POINTS, most) if within else most
-                    here_brings = 0.0
-                    for k in range(count):
-                        change[k] = (here[k] - above[k]) / points
-                    ratio = math.exp(change[_LN])
-                    strength = math.exp(above[_LN] - 0.5 * change[_LN])
-                    for point in range(points):
-                        strength *= ratio
-                        x, y = above[_X] + (point + 0.5) * change[_X], above[_Y] + (point + 0.5) * change[_Y]
-                        y_wall = above[_Y_WALL] + (point + 0.5) * change[_Y_WALL]
-                        z_wall = above[_Z_WALL] + (point + 0.5) * change[_Z_WALL]
-                        if not (0.0 < x < length and abs(y) < half_width):
-                            continue
-                        if not (0.0 < z_wall < level and abs(y_wall) < half_width):
-                            continue
-                        u, v = above[_U] + (point + 0.5) * change[_U], above[_V] + (point + 0.5) * change[_V]
-                        light = _at_depth(pictures, x * layers_a_mm, (v + 0.5) * finer - 0.5, (u + 0.5) * finer - 0.5)
-                        here_brings += light * strength
-                    total += here_brings / points
+                if plane > 0:
+                    total += _along_stretch(above, here, change, thrown, water, most)
                 for k in range(count):
                     above[k] = here[k]
             image[row, column] += total * spacing
+
+
+@part
+def _along_stretch(above: Array, here: Array, change: Array, thrown: _Thrown, water: _Water, most: int) -> float:
+    """Mean light at points of a line of sight between two planes of nodes: few of them where light is even, none where
+    it is dark. `change` is overwritten."""
+    (pictures, layers_a_mm, tiles, finer), (length, half_width, level) = thrown, water
+    if not _may_be_lit(above, here, level, length, half_width):
+        return 0.0
+    u, v = 0.5 * (above[_U] + here[_U]), 0.5 * (above[_V] + here[_V])
+    far = max(abs(here[_U] - above[_U]), abs(here[_V] - above[_V])) * finer > _TILE
+    kind = _EDGED if far else _tile(tiles, (v + 0.5) * finer - 0.5, (u + 0.5) * finer - 0.5)
+    if kind == _DARK:
+        return 0.0
+    points = most
+    if kind == _EVEN and _is_within(above, here, level, length, half_width):
+        points = min(_EVEN_POINTS, most)
+    for k in range(change.size):
+        change[k] = (here[k] - above[k]) / points
+    ratio = math.exp(change[_LN])
+    strength = math.exp(above[_LN] - 0.5 * change[_LN])
+    found = 0.0
+    for point in range(points):
+        strength *= ratio
+        x, y = above[_X] + (point + 0.5) * change[_X], above[_Y] + (point + 0.5) * change[_Y]
+        y_wall = above[_Y_WALL] + (point + 0.5) * change[_Y_WALL]
+        z_wall = above[_Z_WALL] + (point + 0.5) * change[_Z_WALL]
+        if not (0.0 < x < length and abs(y) < half_width):
+            continue
+        if not (0.0 < z_wall < level and abs(y_wall) < half_width):
+            continue
+        u, v = above[_U] + (point + 0.5) * change[_U], above[_V] + (point + 0.5) * change[_V]
+        found += strength * _at_depth(pictures, x * layers_a_mm, (v + 0.5) * finer - 0.5, (u + 0.5) * finer - 0.5)
+    return found / points
 
 
 @part
