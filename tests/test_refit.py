@@ -24,6 +24,7 @@ from tankrig.run.writer import RunWriter
 from tankrig.scene.description import Camera, Medium, Tank
 from tankrig.sequence.loading import sequence_from_table, sequence_table
 from ui.cli import main
+from ui.window import jobs
 from ui.window.run_summary import summaries
 
 INK = Medium(0.002, 0.08, 0.6)
@@ -136,6 +137,7 @@ def test_a_series_that_shows_another_phase_function_is_gone_on_with(
 
     monkeypatch.setattr(refitting, "fit_all", fitted)
     assert main(["report", str(run)]) == 0  # which waits for no search of half an hour, and says what is missing
+    assert jobs.report(run) == run / "report.html"
     assert refit(run, further=False) == []
     assert asked == []
     assert "own phase function is not fitted" in (run / "report.html").read_text(encoding="utf-8")

@@ -83,4 +83,4 @@ def test_a_whole_experiment_by_mouse_and_keyboard(tmp_path, monkeypatch):
             assert (exported.frames.values == run.frames.values).all()
             assert exported.pattern.values.tolist() == run.frames.pattern.values.tolist()
         press(window.runs, "Report")
-        until(lambda: (ended[0].path / "report.html").exists(), 90.0)
+        until(lambda: (ended[0].path / "report.html").exists(), 90.0, "the report was not written")

@@ -453,11 +453,12 @@ def predict_scene(scene: "Scene", tolerance: float) -> "Prediction":
 
 
 def report(path: Path) -> Path:
-    """Write a run's report, once what it lacks is fitted."""
+    """Write a run's report, once what it lacks is fitted; of a search for the ink's own phase function, which takes ten
+    minutes and more, it says that it is missing."""
     from tankrig.live.refit import refit as fit_what_is_missing
     from tankrig.report import write_report
 
-    fit_what_is_missing(path)
+    fit_what_is_missing(path, further=False)
     return write_report(path)
 
 
