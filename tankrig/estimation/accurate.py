@@ -9,6 +9,7 @@ from tankrig.estimation.prior_weight import weight_of_priors
 from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.shots import Shot, weighed_problem
 from tankrig.estimation.versions import image_of, is_noisy
+from tankrig.estimation.with_prepared import told_together
 
 Versions = list[tuple[Model, Model]]
 """A model for each image, and the one whose derivatives are taken."""
@@ -22,7 +23,9 @@ def refined(problem: Problem, shots: Sequence[Shot], near: Evaluation, rough: bo
 
 def versions_near(shots: Sequence[Shot], near: Evaluation) -> Versions:
     """Accurate models for media near some place, each with the one whose derivatives are taken."""
-    return [shot.models.refined(liquid) for shot, liquid in zip(shots, near.media, strict=True)]
+    versions = [shot.models.refined(liquid) for shot, liquid in zip(shots, near.media, strict=True)]
+    told_together([fine for fine, _ in versions])
+    return versions
 
 
 def accurate_problem(

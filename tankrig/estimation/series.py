@@ -60,7 +60,7 @@ from tankrig.estimation.verdict import (
     what_spheres_do,
 )
 from tankrig.estimation.versions import Models
-from tankrig.estimation.with_astray import astray_from, with_astray
+from tankrig.estimation.with_astray import along_from, astray_from, with_astray
 from tankrig.light.rays import shift_invariant
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
@@ -316,6 +316,8 @@ def fit_series(
         fit = fitted(shots, blocks, scaling, progress, begin, few)
     else:
         densest = None if ink is None else in_tank(ink, water, float(doses.ml[highest]))
+        if astray and (about := asked.near or densest) is not None:
+            blocks_of = along_from(about, asked.family, shots, blocks_of, scaling, astray)
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, few, densest)
     fit = with_astray(fit, astray) if astray else fit
     progress("finding the errors")

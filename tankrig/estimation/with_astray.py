@@ -9,9 +9,12 @@ from numpy.typing import NDArray
 from tankrig.estimation.astray import Astray, AstrayBlock
 from tankrig.estimation.optimiser import polish
 from tankrig.estimation.parameters import Block
+from tankrig.estimation.phase_answer import BlocksOf
+from tankrig.estimation.phase_families import Family
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.shots import Fit, Shot, rough_problem
 from tankrig.estimation.uncertainty import overconfidence
+from tankrig.scene import Medium
 
 Array = NDArray[np.float64]
 
@@ -34,6 +37,21 @@ def astray_from(
         for one, shot, medium in zip(astray, shots, at.media, strict=True)
     )
     return np.concatenate([start, none]), (*blocks, AstrayBlock(patterns, np.ones(none.size)))
+
+
+def along_from(
+    densest: Medium, family: Family, shots: Sequence[Shot], blocks_of: BlocksOf, scaling: Scaling,
+    astray: Sequence[Astray],
+) -> BlocksOf:  # fmt: skip
+    """The same blocks for any phase functions, and what may go astray along with them, by its patterns at a liquid.
+
+    Where a floor's light came in at the end only, an emulsion's series on a bench crept to σs 10 % too large, 160 CPU s
+    a place.
+    """
+    blocks = blocks_of(family)
+    start = np.concatenate([one.start(densest) for one in blocks])
+    *_, block = astray_from(start, shots, blocks, scaling, astray)[1]
+    return lambda family: (*blocks_of(family), block)
 
 
 def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:

@@ -130,7 +130,7 @@ def tank_tangent(
     """
     lowest = 2 if tables == BY_PATHS else 3
     others = () if turning is None else turning.others
-    tables = _tables(scene) if tables is None else tables
+    tables = _tables(scene.medium) if tables is None else tables
     sharp, slopes = low_orders(scene, min(max_order or MOST_ORDERS, lowest - 1), others, tables)
     high = by_paths(scene, batches, seed, max_order, lattice, blur_mm, turning, lowest)
     image = sharp + high.prediction.image
@@ -160,7 +160,7 @@ def tank_steady(
     tables: float | None = None,
 ) -> Prediction:  # fmt: skip
     """The image of `tank_tangent` without its derivatives."""
-    tables = _tables(scene) if tables is None else tables
+    tables = _tables(scene.medium) if tables is None else tables
     behind, highest = BehindLenses(scene), max_order or MOST_ORDERS
     sharp = behind.once([scene.medium])[0]
     if highest >= 2:
@@ -191,9 +191,9 @@ def _steadied(light: Array, grid: CellGrid) -> tuple[Array, Array]:
     return smooth, peak * np.sqrt(grid.variance_to_pixels(more * averaged(smooth / peak, grid.seen).variance))
 
 
-def _tables(scene: Scene) -> float:
+def _tables(medium: Medium) -> float:
     """Tolerance that order 2 is computed to beside derivatives."""
-    return TABLES if scene.medium.phase is None else FINE_TABLES
+    return TABLES if medium.phase is None else FINE_TABLES
 
 
 def _looked_up(scene: Scene, sharp: Array, image: Array, tables: float) -> Skipped:
@@ -202,11 +202,19 @@ def _looked_up(scene: Scene, sharp: Array, image: Array, tables: float) -> Skipp
     return Skipped("tables that order 2 is looked up in", off)
 
 
+def low_images(scene: Scene, media: Sequence[Medium], tables: float | None = None) -> Array:
+    """(media, rows, columns) of orders 1 and 2; where lines of sight meet beams is found once for all of them."""
+    behind = BehindLenses(scene)
+    # Order 2 of each by itself, as its tables have the nodes that it wants.
+    seconds = [behind.twice([one], _tables(one) if tables is None else tables)[0] for one in media]
+    return np.asarray(behind.once(media) + np.array(seconds))
+
+
 def low_orders(
     scene: Scene, highest: int, others: Sequence[PhaseFunction], tables: float | None = None
 ) -> tuple[Array, Array]:
     """Orders 1 and 2, and their derivatives: they go with σs and σs² at one extinction."""
-    medium, behind, tables = scene.medium, BehindLenses(scene), _tables(scene) if tables is None else tables
+    medium, behind, tables = scene.medium, BehindLenses(scene), _tables(scene.medium) if tables is None else tables
     absorption = STEP_LENGTH / max(scene.tank.size_mm)
     stepped = [medium, replace(medium, sigma_a=medium.sigma_a + absorption)]
     turning = STEP_ASYMMETRY * (1.0 - medium.g) * (1.0 + medium.g) * (-1.0 if medium.g > 0.0 else 1.0)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.behind_lenses import BehindLenses
+from tankrig.light.entering import edged_and_smooth
 from tankrig.light.prepared.assembly import LEFT_OUT, common
 from tankrig.light.prepared.box import Box, Coordinates
 from tankrig.light.prepared.cache import Arrays, Place
@@ -24,6 +25,7 @@ from tankrig.light.prepared.polynomials import nodes, values
 from tankrig.light.prepared.regression import Fit, Regression
 from tankrig.light.prepared.sampling import PathImages
 from tankrig.scene import Medium, Scene
+from tankrig.scene.optics import ALL_BLACK, PINHOLE
 from tankrig.scene.phase_functions import HenyeyGreenstein
 from tankrig.scene.phase_table import PhaseFunction
 from tankrig.threads import THREADS
@@ -194,14 +196,19 @@ def _assembled(plan: PhasePlan, sampling: PathImages, images: Array) -> HighAnsw
 
 
 def _size_of_low_orders(plan: PhasePlan, sampling: PathImages, u: Array, scattering: Array) -> Array:
-    """(media, albedos) L2 norm of orders 1 and 2 in the unit of cells, about: as of Henyey–Greenstein's there."""
-    camera, grid = sampling.scene.camera, sampling.grid
+    """(media, albedos) L2 norm of orders 1 and 2 in the unit of cells, about: as of Henyey–Greenstein's there.
+
+    Of the beams alone: what walls and lenses add is little, and took a third of a thin dose's model behind glass.
+    """
+    scene, grid = sampling.scene, sampling.grid
+    camera, light = scene.camera, edged_and_smooth(scene)[0].projector
+    beams = replace(scene, tank=replace(scene.tank, faces=ALL_BLACK), projector=replace(light, wide_lens=PINHOLE))
     g = 0.5 * sum(plan.box.g)
     sizes = []
     for place in (-BESIDE, BESIDE):
         sigma_t = float(plan.base.coordinates.back([place, 0.0, 0.0])[0])
         medium = Medium(0.0, sigma_t, phase=HenyeyGreenstein(g))
-        behind = BehindLenses(replace(sampling.scene, medium=medium))
+        behind = BehindLenses(replace(beams, medium=medium))
         low = behind.once([medium])[0], behind.twice([medium], ROUGH_TABLES)[0]
         sizes.append([np.linalg.norm(one) / sigma_t**order for order, one in enumerate(low, 1)])
     logarithm = np.log(np.maximum(np.array(sizes), 1e-300))  # (2, orders)
