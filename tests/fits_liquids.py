@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 import tankrig
 from tankrig.estimation.observation import observe
+from tankrig.estimation.one_liquid import fit_liquid
 from tankrig.estimation.phase_answer import asked_for
 from tankrig.estimation.phase_families import FAMILIES
 from tankrig.estimation.phase_result import Scattering
 from tankrig.estimation.scaling import Scaling
-from tankrig.estimation.series import fit_liquid
 from tankrig.scene import Medium, Scene
 from tankrig.scene.mie import Mie
 from tankrig.scene.phase_table import PhaseFunction

@@ -351,8 +351,9 @@ def test_fits_of_designed_pictures_hold_the_liquid_as_often_as_they_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A design looks for where errors are small; if it found where they are only stated small, fits would be off."""
+    from tankrig.estimation.one_liquid import fit_liquid
     from tankrig.estimation.scaling import Scaling
-    from tankrig.estimation.series import fit_liquid, observed
+    from tankrig.estimation.several_images import observed
     from tankrig.image.predict import predict
 
     monkeypatch.setenv("TANKRIG_CACHE", str(tmp_path))

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from tankrig.estimation.observation import observe
+from tankrig.estimation.one_liquid import fit_liquid
 from tankrig.estimation.phase_answer import asked_for
 from tankrig.estimation.phase_families import free
 from tankrig.estimation.phase_result import ANGLES_DEG, Scattering
 from tankrig.estimation.scaling import Scaling
-from tankrig.estimation.series import SeriesEstimate, estimate_series, fit_liquid
+from tankrig.estimation.series import SeriesEstimate, estimate_series
 from tankrig.estimation.series_forward import series_models
 from tankrig.scene import Medium
 from tankrig.scene.mie import Mie

@@ -1,54 +1,60 @@
 """`estimate_series`: images at several known doses, one gain, to what a ml of ink does and what water does alone.
 
 Within one image gain, absorption and scattering imitate each other; over a series of doses they cannot, because the
-gain stays and the ink grows by a known factor. Several images of one dose, with one gain, are fitted alike.
+gain stays and the ink grows by a known factor.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.astray import ASTRAY, Astray
-from tankrig.estimation.coordinates import Range, to_coordinates
-from tankrig.estimation.estimate import AS_WELL, Free, determined, nuisances_of
+from tankrig.estimation.coordinates import to_coordinates
+from tankrig.estimation.estimate import AS_WELL, Free, nuisances_of
 from tankrig.estimation.fitting import fitted
-from tankrig.estimation.forward import family_models
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
-from tankrig.estimation.left_over import Left, error_of, left_over, moved_by_halos, rms, spread_of
-from tankrig.estimation.observation import Observation, observe
+from tankrig.estimation.left_over import Left, left_over, moved_by_halos, rms
+from tankrig.estimation.observation import Observation
 from tankrig.estimation.phase_answer import (
     Asked,
-    answer_of,
     asked_for,
     fit_phase,
     ink_blocks,
     is_rough,
     likely_spheres,
-    liquid_blocks,
 )
 from tankrig.estimation.phase_average import LikelySpheres
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import Scattering, coefficients_by
 from tankrig.estimation.problem import Evaluation
-from tankrig.estimation.result import Linearity, LiquidEstimate
+from tankrig.estimation.result import Linearity
 from tankrig.estimation.result import SeriesEstimate as SeriesEstimate
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import Told
 from tankrig.estimation.series_forward import (
     ModelOf,
-    low_orders_model,
     modelled_in_water,
-    series_models,
-    tank_model,
+)
+from tankrig.estimation.several_images import (
+    determined_by,
+    errors_of,
+    leaves_much,
+    models_by_scene,
+    models_of_spheres,
+    models_of_tank,
+    observed,
+    scattering_at,
+    spread_at,
+    unsure,
 )
 from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.spheres import spheres
-from tankrig.estimation.uncertainty import PATTERN, ModelError
+from tankrig.estimation.uncertainty import PATTERN
 from tankrig.estimation.verdict import (
     series_verdict,
     what_has_not_settled,
@@ -61,16 +67,8 @@ from tankrig.estimation.verdict import (
 )
 from tankrig.estimation.versions import Models
 from tankrig.estimation.with_astray import along_from, astray_from, with_astray
-from tankrig.light.rays import shift_invariant
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
-
-DOUBTED = 0.02
-"""Structure beyond what the models state, as a share of an image, from which on a Henyey–Greenstein fit determines
-neither σs nor g of ink: an emulsion leaves 6 %, beads 14 %, and σs is off by a third or more."""
-
-MOSTLY_SPHERES = 0.5
-"""Share of the answer from which on spheres are fitted by themselves."""
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -163,128 +161,12 @@ def estimate_series(
     asked = asked_for(phase, scenes[0])
     observations = observed(images, scenes, noise, masks)
     if model_of is None:
-        models = _models_of_tank(scenes, asked.family, water_sigma_s)
+        models = models_of_tank(scenes, asked.family, water_sigma_s)
     else:
-        models = _models(scenes, modelled_in_water(model_of, water_sigma_s), asked.family)
+        models = models_by_scene(scenes, modelled_in_water(model_of, water_sigma_s), asked.family)
     told = progress or (lambda _: None)
     scaling = Scaling.given(gain, offset)
     return fit_series(observations, scenes, doses, scaling, models, start, told, asked, nuisance)
-
-
-def fit_liquid(
-    observations: Sequence[Observation],
-    scenes: Sequence[Scene],
-    scaling: Scaling,
-    models: Sequence[Models] | None = None,
-    start: Medium | Sequence[Medium] | None = None,
-    progress: Told = lambda _: None,
-    asked: Asked = Asked(),  # noqa: B008
-    astray: Sequence[Astray] = (),
-) -> LiquidEstimate | None:
-    """One liquid from several patterns with one gain.
-
-    Parameters
-    ----------
-    observations, scenes
-        Of the images.
-    scaling
-        Gain and offset, known or free.
-    models
-        Of the scenes, all for one range; None for the tank model.
-    start
-        Where to begin, or several liquids that the search begins from in place of a look around (see
-        `OrderOneFit.media`; Henyey–Greenstein's only); looked for where None.
-    progress
-        Told in a few words what is being done; what it raises ends the fit.
-    asked
-        Which phase functions are searched; not Henyey–Greenstein's only by models that know any.
-    astray
-        What may go astray in each image and is fitted along, as much in all; none for nothing.
-
-    Returns
-    -------
-    LiquidEstimate, or None where models that answer for a range want σs or g at its edge or beyond
-
-    Raises
-    ------
-    ImageError
-        When the images are dark where the scenes are bright.
-    """
-    models = models or _models_of_tank(scenes, asked.family)
-    blocks_of = liquid_blocks(models[0].range or Range.of_tank(max(max(scene.tank.size_mm) for scene in scenes)))
-    shots = [Shot(*one) for one in zip(observations, scenes, models, strict=True)]
-    known = start if isinstance(start, Medium) else None
-    if asked.family is None:
-        blocks = blocks_of(None)
-        begin = None if known is None else blocks[0].start(known)
-        places = [blocks[0].start(one) for one in start or ()] if not isinstance(start, Medium) else []
-        fit = fitted(shots, blocks, scaling, progress, begin, starts=places or None)
-    else:
-        fit = fit_phase(shots, asked, blocks_of, scaling, progress, densest=known)
-    fit = with_astray(fit, astray) if astray else fit
-    found, likely = _liquid_at(fit, shots, asked)
-    if found is None or likely is None:
-        return found
-    versions = _of_spheres(scenes, models)
-    for liquid in likely.liquids:
-        progress("fitting spheres")
-        asked = Asked(spheres(), near=liquid, likely=likely)
-        other = fit_liquid(observations, scenes, scaling, versions, None, progress, asked, astray)
-        if other is not None and other.rmse < AS_WELL * found.rmse:
-            return other
-    return found
-
-
-def _of_spheres(scenes: Sequence[Scene], models: Sequence[Models]) -> list[Models]:
-    """Each image's versions for media of spheres; images of one scene share theirs, as they did."""
-    by_scene = {scene: one.of(spheres()) for scene, one in dict(zip(scenes, models, strict=True)).items()}
-    return [by_scene[scene] for scene in scenes]
-
-
-def _liquid_at(
-    fit: Fit, shots: Sequence[Shot], asked: Asked
-) -> tuple[LiquidEstimate | None, LikelySpheres | None]:  # fmt: skip
-    """The estimate at an optimum, None beyond the models' range; and spheres that are worth a fit of their own."""
-    best, within = fit.optimum, shots[0].models.range
-    gain, _, left = left_over(fit)
-    if within is not None and {"sigma_s", "g"} & set(best.at_edge):
-        return None, None
-    whole = fit.unsettled(_spread(best, left, shots))
-    answer = _answer(best, whole, asked, left)
-    medium, spread = answer.liquid, answer.covariance[:3, :3]
-    if within is not None and "g" in within.at_edge(medium):
-        return None, None
-    found = LiquidEstimate(
-        medium, spread, gain, rms(np.array([one.rmse for one in left])), rms(np.array([one.counted for one in left])),
-        _known(answer, spread, left, asked, fit), rms(np.array([one.beyond for one in left])), answer,
-        nuisances_of(best, whole),
-    )  # fmt: skip
-    return found, likely_spheres(best, whole, asked, answer, _unsure(fit, left, asked, answer))
-
-
-def _unsure(fit: Fit, left: Sequence[Left], asked: Asked, answer: Scattering) -> bool:
-    """Whether a free phase function does not describe all images, has not settled, or where several images tell so much
-    that a family next to its fit is not known to first order, spheres are most of the answer."""
-    mostly = answer.families.get(spheres().name, 0.0) > MOSTLY_SPHERES
-    return mostly or fit.moved is not None or is_rough(fit.optimum, asked) or any(one.beyond > 0.0 for one in left)
-
-
-def _known(answer: Scattering, spread: Array, left: Sequence[Left], asked: Asked, fit: Fit) -> dict[str, bool]:
-    """Which of σa, σs, g images determine; where a fit has not settled, or of a liquid that may have another phase
-    function than those searched, or scatter much nearly straight on, neither σs nor g."""
-    known = determined(answer.liquid, spread, left)
-    doubted = fit.moved is not None or _leaves_much(left, asked) or is_rough(fit.optimum, asked) or answer.may_peak
-    return known | {"sigma_s": False, "g": False} if doubted else known
-
-
-def _leaves_much(left: Sequence[Left], asked: Asked) -> bool:
-    """Whether Henyey–Greenstein, or a free phase function, leaves so much that the liquid may have another one."""
-    return (asked.family is None or asked.is_free) and max(one.beyond for one in left) > DOUBTED
-
-
-def _answer(best: Evaluation, spread: Array, asked: Asked, left: Sequence[Left]) -> Scattering:
-    """How the liquid, or the ink per ml, scatters."""
-    return answer_of(best, spread, asked, all(one.beyond == 0.0 for one in left))
 
 
 def fit_series(
@@ -324,7 +206,7 @@ def fit_series(
     found, likely = _built(fit, doses, shots, asked)
     if likely is None:
         return found
-    versions = _of_spheres(scenes, models)
+    versions = models_of_spheres(scenes, models)
     for one in likely.liquids:
         progress("fitting spheres")
         near = None if one is None else in_tank(one, found.water.sigma_a, float(doses.ml[highest]))
@@ -335,30 +217,6 @@ def fit_series(
     return found
 
 
-def _models(
-    scenes: Sequence[Scene], model_of: ModelOf, family: Family | None, low_of: ModelOf | None = None
-) -> list[Models]:
-    """One for each image, whose orders 1 and 2 may be had alone; images of one scene share theirs, and what it has
-    computed."""
-    by_scene = {scene: series_models(scene, model_of, family, low_of) for scene in dict.fromkeys(scenes)}
-    return [by_scene[scene] for scene in scenes]
-
-
-def _models_of_tank(scenes: Sequence[Scene], family: Family | None, water_sigma_s: float = 0.0) -> list[Models]:
-    """The tank's of each image.
-
-    A phase function's coordinates, which change images nearly alike, want images without noise, as what is prepared for
-    each liquid has them; Henyey–Greenstein's three numbers do with differences of light paths.
-    """
-    if family is not None and all(one.tank.faces.dark or not shift_invariant(one) for one in scenes):
-        by_scene = {
-            one: family_models(one, family, water_sigma_s=water_sigma_s, prepared=True) for one in dict.fromkeys(scenes)
-        }
-        return [by_scene[scene] for scene in scenes]
-    model_of, low_of = (modelled_in_water(one, water_sigma_s) for one in (tank_model, low_orders_model))
-    return _models(scenes, model_of, family, low_of)
-
-
 def _built(
     fit: Fit, doses: Doses, shots: Sequence[Shot], asked: Asked
 ) -> tuple[SeriesEstimate, LikelySpheres | None]:  # fmt: skip
@@ -366,25 +224,25 @@ def _built(
     own."""
     best = fit.optimum
     gain, offsets, left = left_over(fit)
-    blocks, whole = best.problem.blocks, fit.unsettled(_spread(best, left, shots))
+    blocks, whole = best.problem.blocks, fit.unsettled(spread_at(best, left, shots))
     linearity = None
     if doses.ml.size > 2:
         bent = replace(best.problem, blocks=(*blocks, BendBlock(doses))).at(np.append(best.coordinates, 0.0))
         linearity = Linearity(float(bent.sensitivity.step(bent.left)[-1]), _sd_of_bend(bent, left, shots))
-    answer = _answer(best, whole, asked, left)
+    answer = scattering_at(best, whole, asked, left)
     if asked.family is None:
         water, spread = float(best.values["ink"][3]), whole[:4, :4]
     else:
         water, spread = float(best.values["water"][0]), _with_water(best, whole, asked.family, answer)
     liquid = answer.liquid
-    known = _known(answer, spread[:3, :3], left, asked, fit) | {
+    known = determined_by(answer, spread[:3, :3], left, asked, fit) | {
         "water_sigma_a": bool(math.sqrt(spread[3, 3]) <= 0.2 * water)
     }
     noise_known = all(view.observation.noise_known for view in best.problem.views)
     beyond = float(np.median([one.noisier for one in left])) if noise_known else 1.0
     shares = rms(np.array([one.unexplained for one in left])), rms(np.array([one.stated for one in left])), beyond
     off, rough = nuisances_of(best, whole), is_rough(best, asked)
-    doubted = asked.family is None and _leaves_much(left, asked)
+    doubted = asked.family is None and leaves_much(left, asked)
     unseen = np.zeros(3) if "halo" in off else moved_by_halos(best, left)
     built = SeriesEstimate(
         ink=liquid, water=Medium(water, 0.0, 0.0), covariance=spread, identifiable=known, gain=gain,
@@ -394,7 +252,7 @@ def _built(
             filter(None, [
                 series_verdict(water, spread, known, linearity, shares),
                 what_may_be_another_phase(doubted),
-                what_no_phase_describes(asked.is_free and (_leaves_much(left, asked) or rough), rough),
+                what_no_phase_describes(asked.is_free and (leaves_much(left, asked) or rough), rough),
                 what_has_not_settled(fit.moved is not None),
                 what_may_peak_unseen(answer.outside_cone if answer.may_peak else None, "/mm per ml"),
                 what_is_misaligned(off),
@@ -403,7 +261,7 @@ def _built(
         ),
         scattering=answer, nuisance=off, doubted=doubted,
     )  # fmt: skip
-    return built, likely_spheres(best, whole, asked, answer, _unsure(fit, left, asked, answer))
+    return built, likely_spheres(best, whole, asked, answer, unsure(fit, left, asked, answer))
 
 
 def _with_water(best: Evaluation, spread: Array, family: Family, answer: Scattering) -> Array:
@@ -423,30 +281,14 @@ def _with_water(best: Evaluation, spread: Array, family: Family, answer: Scatter
     return np.asarray(found)
 
 
-def _spread(best: Evaluation, left: Sequence[Left], shots: Sequence[Shot]) -> Array:
-    """Covariance of the values; models' errors as they lie, where that is known."""
-    gain, _ = best.scale
-    smooth = _errors(shots, left, [PATTERN * one.counted for one in left])
-    errors = [
-        error if one.prediction.patterns is None else error_of(one.prediction, gain, one.beyond, shot.scene)
-        for error, one, shot in zip(smooth, left, shots, strict=True)
-    ]
-    return spread_of(best, left, errors)
-
-
 def _sd_of_bend(bent: Evaluation, left: Sequence[Left], shots: Sequence[Shot]) -> float:
     """Standard deviation of the bend, if it were none: structure that residuals hold may be the bend's own.
 
     The stated error is counted with what patterns do (see `PATTERN`); what the residuals show beyond it, as it is.
     """
     counted = [math.hypot(PATTERN * one.stated, one.beyond) for one in left]
-    spread = bent.sensitivity.covariance([one.noise for one in left], _errors(shots, left, counted))
+    spread = bent.sensitivity.covariance([one.noise for one in left], errors_of(shots, left, counted))
     return math.sqrt(spread[-1, -1])
-
-
-def _errors(shots: Sequence[Shot], left: Sequence[Left], shares: Sequence[float]) -> list[ModelError]:
-    """Errors of so much of each image's light."""
-    return [shot.error(share * np.abs(one.light), 1.0) for shot, one, share in zip(shots, left, shares, strict=True)]
 
 
 def doses_of(doses_ml: ArrayLike, doses_sd_ml: ArrayLike, count: int) -> Doses:
@@ -468,29 +310,6 @@ def doses_of(doses_ml: ArrayLike, doses_sd_ml: ArrayLike, count: int) -> Doses:
     if sd.shape not in ((), (count,)) or (sd < 0.0).any():
         raise ImageError("doses_sd_ml is not a standard deviation for all or one for each image; give zero or more")
     return Doses(different, np.broadcast_to(sd, ml.shape)[first].copy(), np.asarray(group, int))
-
-
-def observed(
-    images: Sequence[ArrayLike],
-    scenes: Sequence[Scene],
-    noise: ArrayLike | Sequence[ArrayLike] | None,
-    masks: Sequence[ArrayLike | None] | None = None,
-) -> list[Observation]:
-    """Check the images, each against its scene."""
-    one_for_all = noise is None or isinstance(noise, float | int | np.number)
-    noises: list[Any] = [noise] * len(images) if one_for_all else list(noise)  # type: ignore[arg-type]
-    if len(noises) != len(images):
-        raise ImageError(f"{len(images)} images but {len(noises)} noises; give one for all or one for each image")
-    masks = [None] * len(images) if masks is None else masks
-    if len(masks) != len(images):
-        raise ImageError(f"{len(images)} images but {len(masks)} masks; give one for each image, or None")
-    observations = []
-    for number, (image, scene, sigma, mask) in enumerate(zip(images, scenes, noises, masks, strict=True), start=1):
-        try:
-            observations.append(observe(image, scene.camera.shape, sigma, mask))
-        except ImageError as error:
-            raise ImageError(f"image {number} of {len(images)}: {error}") from error
-    return observations
 
 
 def _numbers(name: str, values: ArrayLike) -> Array:

@@ -12,10 +12,12 @@ from tankrig.estimation.astray import Astray, unmeasured
 from tankrig.estimation.followed import Model, in_water
 from tankrig.estimation.forward import models_of
 from tankrig.estimation.ink_blocks import in_tank
+from tankrig.estimation.one_liquid import fit_liquid
 from tankrig.estimation.phase_answer import asked_for
 from tankrig.estimation.scaling import Scaling
-from tankrig.estimation.series import InkAndWater, SeriesEstimate, estimate_series, fit_liquid, observed
+from tankrig.estimation.series import InkAndWater, SeriesEstimate, estimate_series
 from tankrig.estimation.series_forward import PURE_WATER_SIGMA_S, ModelOf, prepared_model
+from tankrig.estimation.several_images import observed
 from tankrig.estimation.versions import Models
 from tankrig.image.prepare import Prepared
 from tankrig.light.prepared.box import Box
