@@ -45,7 +45,7 @@ ALIKE = 0.1, 0.7
 LATTICES_BY_FACES = 4
 """Of such paths, which are noisier than others, in a search's image."""
 MOST_LOW = 8
-"""Media whose orders 1 and 2 are kept."""
+"""Media whose orders 1 and 2 are kept, or as many as were asked for together."""
 SOLVED_BATCHES = 16
 """Lattices of paths for the orders that are left to them where the others are solved for."""
 
@@ -149,11 +149,11 @@ class Followed:
         from tankrig.estimation.differences import values_of
 
         family = self.family
-        at, others = values_of(centre, family), np.maximum(exact.image - self._low(centre), 0.0)
+        at, others = values_of(centre, family), np.maximum(exact.image - self.low_image(centre), 0.0)
 
         def near(medium: Medium) -> Prediction:
             by = np.tensordot(values_of(medium, family) - at, shares, 1)
-            return replace(exact, image=self._low(medium) + others * np.exp(np.clip(by, -FURTHEST, FURTHEST)))
+            return replace(exact, image=self.low_image(medium) + others * np.exp(np.clip(by, -FURTHEST, FURTHEST)))
 
         return remembered(near)
 
@@ -167,11 +167,13 @@ class Followed:
 
         widths = [SLOPE_BLUR_MM / side for side in self.scene.camera.sides_mm]
         here, there = (
-            gaussian_filter(np.maximum(self._direct(one).image - self._low(one), 0.0), widths, mode="nearest")
+            gaussian_filter(np.maximum(self._direct(one).image - self.low_image(one), 0.0), widths, mode="nearest")
             for one in (centre, medium)
         )
-        others = np.maximum(exact.image - self._low(centre), 0.0)
-        return replace(exact, image=self._low(medium) + others * there / np.maximum(here, FAINT * here.max() + 1e-300))
+        others = np.maximum(exact.image - self.low_image(centre), 0.0)
+        return replace(
+            exact, image=self.low_image(medium) + others * there / np.maximum(here, FAINT * here.max() + 1e-300)
+        )
 
     def taught(self, shares: Image, centre: Medium, exact: Prediction, ahead: Medium, shown: Prediction) -> Image:
         """`shares` at a medium where an exact image is known, so changed that they foretell another one ahead.
@@ -186,7 +188,7 @@ class Followed:
         if far == 0.0:
             return shares
         foretold = self.about(centre, exact, shares)(ahead).image
-        others = foretold - self._low(ahead)
+        others = foretold - self.low_image(ahead)
         missed = (shown.image - foretold) / np.maximum(others, FAINT * float(others.max(initial=0.0)) + 1e-300)
         missed = np.log(np.clip(1.0 + missed, math.exp(-FURTHEST), math.exp(FURTHEST)))
         return np.asarray(shares + (step / scale**2 / far)[:, None, None] * missed)
@@ -201,30 +203,29 @@ class Followed:
         if low_shares is None:
             low, slopes = self.low_slopes(centre)
         else:
-            low = self._low(centre)
+            low = self.low_image(centre)
             slopes = low * low_shares
         return np.asarray(slopes + (exact - low) * shares)
 
     def low_image(self, medium: Medium) -> Image:
         """Orders 1 and 2."""
-        return self._low(medium)
+        return self.low_images([medium])[0]
 
     def low_images(self, media: Sequence[Medium]) -> list[Image]:
         """Orders 1 and 2 of several media, such as an ink's doses: order 1 of three takes as long as that of one."""
         from tankrig.light.tangent import low_images
 
-        known = self._known_low
-        asked = [medium for medium in dict.fromkeys(media) if medium not in known]
+        kept = self._known_low
+        found = dict(kept)  # a copy, since views that are computed side by side share a model
+        asked = [medium for medium in dict.fromkeys(media) if medium not in found]
         if asked:
             liquids = [in_water(medium, self.water_sigma_s) for medium in asked]
-            known.update(zip(asked, low_images(self.scene, liquids, self.tables), strict=True))
-        found = [known[medium] for medium in media]
-        for old in list(known)[:-MOST_LOW]:
-            known.pop(old, None)
-        return found
-
-    def _low(self, medium: Medium) -> Image:
-        return self.low_images([medium])[0]
+            told = dict(zip(asked, low_images(self.scene, liquids, self.tables), strict=True))
+            found |= told
+            kept.update(told)
+            for old in list(kept)[: -max(MOST_LOW, len(media))]:
+                kept.pop(old, None)
+        return [found[medium] for medium in media]
 
     @cached_property
     def _known_low(self) -> dict[Medium, Image]:

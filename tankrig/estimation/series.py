@@ -36,10 +36,7 @@ from tankrig.estimation.result import Linearity
 from tankrig.estimation.result import SeriesEstimate as SeriesEstimate
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import Told
-from tankrig.estimation.series_forward import (
-    ModelOf,
-    modelled_in_water,
-)
+from tankrig.estimation.series_forward import ModelOf, modelled_in_water
 from tankrig.estimation.several_images import (
     determined_by,
     errors_of,

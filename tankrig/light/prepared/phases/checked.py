@@ -10,10 +10,11 @@ was learned at one by all lattices is taken over, and a few tell what is otherwi
 
     d = ⟨dₐ⟩ over all + ⟨G(d − dₐ)⟩ over the few,
 
-where the scatter of the difference says that this has hardly more noise (a control variate). What a model misses
-changes smoothly over the picture from one medium to the next, and G is an average over `BLUR_MM` in proportion to the
-light. Paths part at media that hardly differ, and light behind glass is seen where few of them end: there the bare
-difference at 1 % of σs had .92 of a lattice's own noise, and its average .10.
+where the scatter of the difference says that this has hardly more noise (a control variate). G is an average over
+`BLUR_MM` in proportion to the light: paths part at media that hardly differ, and light behind glass is seen where few
+of them end, so that the bare difference at 1 % of σs had .92 of a lattice's own noise there, and its average .10. A
+change that is larger than the error of what is known is not taken so, since what is finer than the average would be
+left out.
 """
 
 import math
@@ -165,8 +166,8 @@ def _averaged(changes: Array, high: HighAnswer, medium: Medium) -> Array:
     widths = [BLUR_MM / side for side in camera.sides_mm]
     spread = gaussian_filter(light, widths, mode="nearest")
     per_light = light / np.maximum(spread, FAINT * float(light.max(initial=0.0)) + 1e-300)
-    by_pixel = changes.reshape(-1, *camera.shape)
-    return np.array([(per_light * gaussian_filter(one, widths, mode="nearest")).ravel() for one in by_pixel])
+    averaged = gaussian_filter(changes.reshape(-1, *camera.shape), [0.0, *widths], mode="nearest")
+    return np.asarray((per_light * averaged).reshape(changes.shape))
 
 
 def _scatter(lattices: NDArray[np.floating]) -> float:
