@@ -44,8 +44,9 @@ ALIKE = 0.1, 0.7
 """Changes that count alike: of the logarithm of σt and σs, and of a coordinate that is expected to be 0 ± 1."""
 LATTICES_BY_FACES = 4
 """Of such paths, which are noisier than others, in a search's image."""
-MOST_LOW = 8
-"""Media whose orders 1 and 2 are kept, or as many as were asked for together."""
+MOST_LOW, MOST_FIRST = 8, 3
+"""Media whose orders 1 and 2 are kept, and those whose order 1 is with its derivatives; or as many as were asked for
+together."""
 SOLVED_BATCHES = 16
 """Lattices of paths for the orders that are left to them where the others are solved for."""
 
@@ -229,6 +230,28 @@ class Followed:
 
     @cached_property
     def _known_low(self) -> dict[Medium, Image]:
+        return {}
+
+    def first_slopes(self, media: Sequence[Medium]) -> list[tuple[Image, Image]]:
+        """Order 1 of several media, and (2 + k, rows, columns) its derivatives by σa, σs and a family's coordinates."""
+        from tankrig.estimation.differences import turning_of
+        from tankrig.light.tangent import first_orders
+
+        assert self.family is not None
+        kept = self._known_first
+        found = dict(kept)
+        asked = [medium for medium in dict.fromkeys(media) if medium not in found]
+        if asked:
+            turnings, sizes = zip(*(turning_of(medium, self.family) for medium in asked), strict=True)
+            firsts = first_orders(self.scene, asked, [one.others for one in turnings])
+            for medium, size, (image, slopes) in zip(asked, sizes, firsts, strict=True):
+                found[medium] = kept[medium] = image, slopes / np.append(np.ones(2), size)[:, None, None]
+            for old in list(kept)[: -max(MOST_FIRST, len(media))]:
+                kept.pop(old, None)
+        return [found[medium] for medium in media]
+
+    @cached_property
+    def _known_first(self) -> dict[Medium, tuple[Image, Image]]:
         return {}
 
     def _direct(self, medium: Medium) -> Prediction:

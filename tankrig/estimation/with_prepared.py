@@ -16,8 +16,8 @@ from functools import cache, cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.estimation.differences import turning_of
-from tankrig.estimation.followed import ALIKE, FAINT_LOW, LOW_ORDERS, Followed, Model, in_water, remembered
+from tankrig.estimation.differences import turning_of, values_of
+from tankrig.estimation.followed import ALIKE, FAINT_LOW, FURTHEST, LOW_ORDERS, Followed, Model, in_water, remembered
 from tankrig.estimation.light_beside import described_beside
 from tankrig.estimation.phase_families import Family
 from tankrig.light.double import table_error
@@ -38,6 +38,8 @@ LATTICES, FIRST_LATTICE = 16, 7
 TOLERANCE, TOLERANCE_BY_FACES = 0.01, 0.02
 """Relative L2 error of the image that is asked of what is prepared, and where faces send light back, whose paths take
 three times as long. It is made right where a fit asks, and so need only tell what changes from there."""
+MOST_TOLD = 6
+"""Media by which a pattern's light beside is told, twice as many as an ink's doses usually are."""
 ALIKE_DENSITY = 0.4
 """Change of σt's logarithm up to which a search takes over one medium's factors of each pixel's light for another."""
 
@@ -83,11 +85,60 @@ class Lift:
         """(rows, columns) factors of the whole image."""
         return self._factors(lambda model: model(centre).image)
 
+    def tell_beside(self, centres: Sequence[Medium]) -> None:
+        """Compute what `beside` rests on of those media that are of the family, for all of them together."""
+        family = self.whole.family
+        ours = [] if self.nothing or family is None else [one for one in centres if family.has(one.phase)]
+        new = [one for one in ours if not self._is_told(one)]
+        if new:
+            self.whole.first_slopes(new)
+        for one in new:
+            self.beside(one)
+
+    def beside(self, centre: Medium) -> Image:
+        """(2 + k, rows, columns) by how much more than the beams' own light the logarithm of orders 1 and 2 changes
+        with σa, σs and the family's coordinates; what was told of a medium that is `ALIKE` serves again."""
+        for place, shares in self._told:
+            if (np.abs(self.place_of(centre) - place) < 1.0).all():
+                return shares
+        whole, beams = self.low_shares(centre)
+        self._told[:] = [*self._told[1 - MOST_TOLD :], (self.place_of(centre), whole - beams)]
+        return self._told[-1][1]
+
+    def low_shares(self, medium: Medium, fine: bool = False) -> tuple[Image, Image]:
+        """(2 + k, rows, columns) derivatives of the logarithm of orders 1 and 2: of all light, and of the beams' own.
+
+        Those of order 1 are of all its light, which by way of walls is scattered by other angles than the beams' own.
+        Order 2 changes as that of the beams does: what a halo adds to it is a hundredth, and as smooth.
+        """
+        beams = replace(self.bare, fine=fine)
+        both, of_both = beams.low_slopes(medium)
+        own = of_both / _not_dark(both)
+        if self.nothing:
+            return own, own
+        ((first, of_first),) = self.whole.first_slopes([medium])
+        ((alone, of_alone),) = beams.first_slopes([medium])
+        by_second = (of_both - of_alone) / _not_dark(both - alone)
+        low = self.whole.low_image(medium)
+        return np.asarray((of_first + np.maximum(low - first, 0.0) * by_second) / _not_dark(low)), own
+
+    def place_of(self, medium: Medium) -> NDArray[np.float64]:
+        """Logarithms of σt and σs, and the family's coordinates, over changes that are `ALIKE`."""
+        assert self.whole.family is not None
+        at = _logarithms(medium, self.whole.family)
+        return np.concatenate([at[:2] / ALIKE[0], at[2:] / ALIKE[1]])
+
+    def _is_told(self, centre: Medium) -> bool:
+        return any((np.abs(self.place_of(centre) - place) < 1.0).all() for place, _ in self._told)
+
+    @cached_property
+    def _told(self) -> list[tuple[NDArray[np.float64], Image]]:
+        return []
+
     def _factors(self, image_of: Callable[[Followed], Image]) -> Image:
         if self.nothing:
             return np.ones(self.whole.scene.camera.shape)
-        bare = image_of(self.bare)
-        return np.asarray(image_of(self.whole) / np.maximum(bare, FAINT_LOW * float(bare.max(initial=0.0)) + 1e-300))
+        return np.asarray(image_of(self.whole) / _not_dark(image_of(self.bare)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,11 +270,6 @@ class WithPrepared:
         way = _logarithms(medium, self._family) - _logarithms(self.centre, self._family)
         return np.asarray(np.tensordot(way, self.missed(), 1), float)
 
-    def place_of(self, medium: Medium) -> NDArray[np.float64]:
-        """Logarithms of σt and σs, and the family's coordinates, over changes that are `ALIKE`."""
-        at = _logarithms(medium, self._family)
-        return np.concatenate([at[:2] / ALIKE[0], at[2:] / ALIKE[1]])
-
     @property
     def _family(self) -> Family:
         family = self.lift.whole.family
@@ -231,7 +277,16 @@ class WithPrepared:
         return family
 
     def _low(self, medium: Medium) -> Image:
-        return self.lift.bare.low_image(medium) * self._factors
+        found = self.lift.bare.low_image(medium) * self._factors
+        if medium == self.centre or self.lift.nothing:
+            return np.asarray(found)
+        way = values_of(medium, self._family) - values_of(self.centre, self._family)
+        return np.asarray(found * np.exp(np.clip(np.tensordot(way, self._beside, 1), -FURTHEST, FURTHEST)))
+
+    @cached_property
+    def _beside(self) -> Image:
+        """What the logarithm of orders 1 and 2 changes by more than the beams' own."""
+        return self.lift.beside(self.centre)
 
     @cached_property
     def _factors(self) -> Image:
@@ -242,16 +297,19 @@ class WithPrepared:
 
     @cached_property
     def _slopes(self) -> Callable[[Medium], Image]:
-        family = self._family
-        telling = replace(self.lift.whole if self.fine else self.lift.bare, fine=self.fine)
+        family, lift = self._family, self.lift
         told: list[tuple[NDArray[np.float64], Image]] = []
 
         def shares(medium: Medium) -> Image:
             """Derivatives of the logarithm of orders 1 and 2, which cost as much as four images, and are used again
             until a medium is further than `ALIKE`; fine ones, which are told once, cost as much as ten."""
-            at = self.place_of(medium)
+            at = lift.place_of(medium)
             if not told or not (self.fine or (np.abs(at - told[0][0]) < 1.0).all()):
-                told[:] = [(at, telling.low_shares(medium))]
+                if self.fine:
+                    found, _ = lift.low_shares(medium, fine=True)
+                else:
+                    found = lift.bare.low_shares(medium) + (0.0 if lift.nothing else self._beside)
+                told[:] = [(at, found)]
             return told[0][1]
 
         def slopes(medium: Medium) -> Image:
@@ -280,6 +338,7 @@ def told_together(models: Sequence[Model]) -> None:
             centres.setdefault(one.lift, []).append(one.centre)
     for lift, media in centres.items():
         lift.tell_low(media)
+        lift.tell_beside(media)
 
 
 def missed_slopes(paths: Followed, high: CheckedOrders, centre: Medium) -> Image:
@@ -321,6 +380,11 @@ def missed_slopes(paths: Followed, high: CheckedOrders, centre: Medium) -> Image
     by_sigma_a, by_sigma_s = shown[:2]
     by_phase = shown[2:] / sizes[:, None, None]
     return np.concatenate([[centre.sigma_t * by_sigma_a, centre.sigma_s * (by_sigma_s - by_sigma_a)], by_phase])
+
+
+def _not_dark(image: Image) -> Image:
+    """An image that may be divided by."""
+    return np.maximum(image, FAINT_LOW * float(image.max(initial=0.0)) + 1e-300)
 
 
 def _logarithms(medium: Medium, family: Family) -> NDArray[np.float64]:

@@ -210,6 +210,32 @@ def low_images(scene: Scene, media: Sequence[Medium], tables: float | None = Non
     return np.asarray(behind.once(media) + np.array(seconds))
 
 
+def first_orders(
+    scene: Scene, media: Sequence[Medium], others: Sequence[Sequence[PhaseFunction]]
+) -> list[tuple[Array, Array]]:
+    """Order 1 of several media, and its derivatives by σa, σs and the share of the way to each of a medium's others.
+
+    Where lines of sight meet beams, which takes nearly all of the time behind glass, is found once for all of them.
+    """
+    absorption = STEP_LENGTH / max(scene.tank.size_mm)
+    stepped = [
+        [
+            one,
+            replace(one, sigma_a=one.sigma_a + absorption),
+            *(Medium(one.sigma_a, one.sigma_s, phase=other) for other in its),
+        ]
+        for one, its in zip(media, others, strict=True)
+    ]
+    images = iter(BehindLenses(scene).once([one for each in stepped for one in each]))
+    found = []
+    for medium, each in zip(media, stepped, strict=True):
+        image, absorbed, *turned = (next(images) for _ in each)
+        by_absorption = (absorbed - image) / absorption
+        slopes = [by_absorption, by_absorption + image / medium.sigma_s, *(one - image for one in turned)]
+        found.append((image, np.stack(slopes)))
+    return found
+
+
 def low_orders(
     scene: Scene, highest: int, others: Sequence[PhaseFunction], tables: float | None = None
 ) -> tuple[Array, Array]:

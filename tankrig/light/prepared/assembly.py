@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tankrig.light.double import table_error
 from tankrig.light.prepared.answer import Answer
+from tankrig.light.prepared.low_orders import DARK, interpolated
 from tankrig.light.prepared.noise import Noise, signs_of_chance
 from tankrig.light.prepared.plan import PreparationPlan
 from tankrig.light.prepared.polynomials import values
@@ -23,7 +24,6 @@ MOST_PATTERNS = 32
 """Of orders 1 and 2, and again of the rest."""
 LEFT_OUT = 0.025
 """Share of the tolerance that leaving out patterns may cost."""
-DARK = 1e-300
 UNSEEN = 300
 """Media at which the error is estimated, denser towards the box's ends."""
 DRAWS = 2
@@ -44,12 +44,15 @@ class Images:
         (media, albedos, rows, degrees) orders ≥ 3.
     share
         Of the light of orders ≥ 3 that all of these may be off by alike.
+    off
+        (n, pixels) what orders 1 and 2 may be off by, over their norm: root mean square of the rows.
     """
 
     exact: Array
     checks: Array
     paths: Array
     share: float = 0.0
+    off: NDArray[np.floating] | None = None
 
 
 def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape: tuple[int, int]) -> Answer:
@@ -59,7 +62,7 @@ def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape:
     chosen: where few patterns do, those hold the noise themselves. The error of orders 1 and 2 is seen at media beside
     their grid, and what tables of order 2 err by is added.
     """
-    exact = [_exact_term(plan, images.exact[:, order - 1], order) for order in (1, 2)]
+    exact = [interpolated(plan.exact, plan.exact_plane, images.exact[:, order - 1], order) for order in (1, 2)]
     regression = _regression(plan, sampling, images.paths, exact)
     count = len(plan.paths)
     even = np.arange(count) % 2 == 0
@@ -67,7 +70,7 @@ def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape:
     rest = [_rest_term(plan, sampling, fit.scale, fit.fields) for fit in fits]
     patterns = _patterns(plan, exact, rest, every=shift_invariant(sampling.scene))
     terms = tuple(_projected(term, patterns) for term in (*exact, rest[0]))
-    misses = _misses(plan, images.checks, terms[:2], patterns)
+    misses = _both(_misses(plan, images.checks, terms[:2], patterns), images.off)
     tables = table_error(sampling.scene, order_2_tolerance(sampling.scene, plan.tolerance))
     fit = fits[0]
     noise = Noise(THIRD, plan.paths_plane, plan.brightness_plane, fit.scale, fit.pull, fit.left)
@@ -79,17 +82,6 @@ def assemble(plan: PreparationPlan, sampling: PathImages, images: Images, shape:
     error = _error_over_box(plan, draws, terms, beside)
     found = patterns.astype(np.float32), misses.astype(np.float32)
     return Answer(plan.coordinates, terms, found[0], shape, error, noise, found[1], tables)
-
-
-def _exact_term(plan: PreparationPlan, images: Array, order: int) -> Term:
-    """One order by interpolation; its patterns are still pixels."""
-    places = np.array([sample.place for sample in plan.exact])
-    products = plan.exact_plane.values(*places.T)
-    norm = np.linalg.norm(images, axis=1) / np.array([sample.sigma_t**order for sample in plan.exact])
-    scale = np.linalg.solve(products, np.log(np.maximum(norm, DARK)))
-    shapes = images / np.maximum(np.linalg.norm(images, axis=1), DARK)[:, None]
-    fields = np.linalg.solve(products, shapes)
-    return Term(order, plan.exact_plane, plan.exact_plane, fields[None], scale[None])
 
 
 def _regression(plan: PreparationPlan, sampling: PathImages, paths: Array, exact: list[Term]) -> Regression:
@@ -218,6 +210,14 @@ def _misses(plan: PreparationPlan, checks: Array, terms: tuple[Term, ...], patte
         amplitudes = np.sum([term.at(*at)[0] for term in terms], axis=0)
         found.append((amplitudes @ patterns - truth) / np.linalg.norm(truth))
     return np.array(found)
+
+
+def _both(misses: Array, off: NDArray[np.floating] | None) -> Array:
+    """(n, pixels) two kinds of errors, whose squares add up, of which each is the root mean square of its rows."""
+    if off is None:
+        return misses
+    count = len(misses) + len(off)
+    return np.concatenate([math.sqrt(count / len(one)) * one for one in (misses, off)])
 
 
 def _error_over_box(plan: PreparationPlan, draws: list[Term], terms: tuple[Term, ...], beside: float) -> Array:

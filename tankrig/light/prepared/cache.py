@@ -9,7 +9,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from tankrig import bounded_reading
 from tankrig.errors import CacheError, StoreError
 from tankrig.files import require_writable, whole_file
+from tankrig.scene import Medium, Scene
 
 Array = NDArray[np.float64]
 Arrays = Mapping[str, NDArray[np.generic]]
@@ -43,6 +44,11 @@ def code_mark() -> str:
         for file in sorted((tankrig / package).rglob("*.py")):
             digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def regardless(scene: Scene) -> Scene:
+    """A scene as models are kept for it: whatever its medium is, and the file that it was read from."""
+    return replace(scene, medium=Medium(0.0, 0.01, 0.0), source="")
 
 
 @dataclass(frozen=True)

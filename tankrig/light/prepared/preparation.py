@@ -4,7 +4,7 @@ import math
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,9 @@ from tankrig.errors import SceneError
 from tankrig.light.prepared.answer import Answer
 from tankrig.light.prepared.assembly import Images, assemble
 from tankrig.light.prepared.box import Box
-from tankrig.light.prepared.cache import Place
+from tankrig.light.prepared.cache import Place, regardless
 from tankrig.light.prepared.entrance import MOVED, Entrance
+from tankrig.light.prepared.low_orders import LowOrders
 from tankrig.light.prepared.packing import packed, unpacked
 from tankrig.light.prepared.plan import PreparationPlan, Sample
 from tankrig.light.prepared.sampling import PathImages, exact_images
@@ -35,12 +36,7 @@ EXACT_COST = 0.7
 
 def place_of(scene: Scene, box: Box, tolerance: float) -> Place:
     """Where the cache keeps a model, whether it is there or not."""
-    return Place.of(_regardless(scene), box, float(tolerance))
-
-
-def _regardless(scene: Scene) -> Scene:
-    """Of its medium, and of the file that it was read from."""
-    return replace(scene, medium=Medium(0.0, 0.01, 0.0), source="")
+    return Place.of(regardless(scene), box, float(tolerance))
 
 
 def prepared(
@@ -60,7 +56,7 @@ def prepared(
     UserWarning
         When paths are followed although a bench was learned: what that has otherwise.
     """
-    scene = _regardless(scene)
+    scene = regardless(scene)
     rows, columns = scene.camera.shape
     if rows * columns > MOST_PIXELS:
         raise SceneError(
@@ -69,17 +65,20 @@ def prepared(
         )
     place = place_of(scene, box, tolerance)
     plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance, not shift_invariant(scene))
-    work = _Work(scene, plan, place, Entrance.known_to(scene, box, tolerance))
-    known = _kept_answer(place, plan, scene.camera.shape, math.prod(work.sampling.shape[1:]))
+    sampling = PathImages(scene, plan.albedos)
+    known = _kept_answer(place, plan, scene.camera.shape, math.prod(sampling.shape[1:]))
     if known is not None:
         progress(1.0)
         return known, place.model
+    entrance = Entrance.known_to(scene, box, tolerance)
+    low = None if entrance is not None else LowOrders.kept_for(scene, box, tolerance)
+    work = _Work(sampling, plan, place, entrance, low)
     place.require_room(work.size)
     unlike = Entrance.unlike(scene, box, tolerance)
     if unlike:
         warnings.warn(unlike, stacklevel=3)
     with one_blas_thread():
-        answer = assemble(plan, work.sampling, work.images(progress, threads), scene.camera.shape)
+        answer = assemble(plan, sampling, work.images(progress, threads), scene.camera.shape)
     place.keep(place.model, packed(answer))
     place.clear_parts()
     progress(1.0)
@@ -114,13 +113,19 @@ class _Job:
 class _Work:
     """The images that a plan asks for: those that an interrupted preparation has left are not made again."""
 
-    def __init__(self, scene: Scene, plan: PreparationPlan, place: Place, entrance: Entrance | None) -> None:
-        self._scene, self._plan, self._place, self._entrance = scene, plan, place, entrance
-        self.sampling = PathImages(scene, plan.albedos)
-        self._pixels = scene.camera.shape[0] * scene.camera.shape[1]
+    def __init__(
+        self,
+        sampling: PathImages,
+        plan: PreparationPlan,
+        place: Place,
+        entrance: Entrance | None,
+        low: LowOrders | None,
+    ) -> None:
+        self._sampling, self._plan, self._place, self._entrance, self._low = sampling, plan, place, entrance, low
+        self._pixels = math.prod(sampling.scene.camera.shape)
         # What takes longest comes first, so that no core is left with it at the end.
         self._jobs = sorted(
-            [_Job("exact", part, EXACT_COST * len(part)) for part in plan.together]
+            [_Job("exact", part, (EXACT_COST if low is None else 0.0) * len(part)) for part in plan.together]
             + [_Job("paths", (sample,), sample.batches) for sample in (() if entrance else plan.paths)],
             key=lambda job: -job.cost,
         )
@@ -130,7 +135,7 @@ class _Work:
         """Bytes that the images take."""
         return 8 * (
             2 * self._pixels * (len(self._plan.exact) + len(self._plan.checks))
-            + int(np.prod(self.sampling.shape)) * len(self._plan.paths) // 2
+            + int(np.prod(self._sampling.shape)) * len(self._plan.paths) // 2
         )
 
     def images(self, progress: Progress, threads: int) -> Images:
@@ -148,28 +153,30 @@ class _Work:
         finally:
             pool.shutdown(cancel_futures=True)
         if self._entrance is not None:
-            found["paths"] = dict(self._entrance.images(self.sampling, self._plan.paths))
+            found["paths"] = dict(self._entrance.images(self._sampling, self._plan.paths))
         stacks = {kind: np.array([images[index] for index in sorted(images)]) for kind, images in found.items()}
         share = MOVED if self._entrance is not None else 0.0
         grid, checks = np.split(stacks["exact"], [len(self._plan.exact)])
-        return Images(grid, checks, stacks["paths"], share)
+        return Images(grid, checks, stacks["paths"], share, None if self._low is None else self._low.off)
 
     def _images(self, job: _Job) -> NDArray[np.floating]:
         """Of each of a job's media."""
+        liquids = [(one.sigma_t, one.g) for one in job.samples]
+        if job.kind == "exact" and self._low is not None:
+            return self._low.images(liquids)
         path = self._place.parts / f"{job.name}.npz"
         paths = job.kind == "paths"
-        shape = (len(job.samples), *(self.sampling.shape if paths else (2, self._pixels)))
+        shape = (len(job.samples), *(self._sampling.shape if paths else (2, self._pixels)))
         known = (self._place.kept(path) or {}).get("images")
         if known is not None and known.shape == shape and known.dtype.kind == "f":
             return known.astype(float)
         images: NDArray[np.floating]
         if paths:
             (one,) = job.samples
-            images = self.sampling.sample(Medium(0.0, one.sigma_t, one.g), one.index, one.batches)[None]
+            images = self._sampling.sample(Medium(0.0, one.sigma_t, one.g), one.index, one.batches)[None]
             images = images.astype(np.float32)
         else:
-            liquids = [(one.sigma_t, one.g) for one in job.samples]
             tables = self._entrance.tables(job.samples) if self._entrance is not None else []
-            images = exact_images(self._scene, liquids, self._plan.tolerance, tables)
+            images = exact_images(self._sampling.scene, liquids, self._plan.tolerance, tables)
         self._place.keep(path, {"images": images})
         return images

@@ -71,14 +71,29 @@ def exact_images(
 
     Order 2 of smooth light is not among it, see `PathImages.twice_smooth`.
     """
-    media = [Medium(0.0, sigma_t, g) for sigma_t, g in liquids]
-    lens, tables = CameraLens.of(scene), order_2_tolerance(scene, tolerance)
-    first = once_seen(scene, media)
+    return np.stack([first_images(scene, liquids), second_images(scene, liquids, tolerance, known)], axis=1)
+
+
+def first_images(scene: Scene, liquids: Sequence[tuple[float, float]]) -> Array:
+    """Order 1 of these, (liquids, pixels)."""
+    return once_seen(scene, _conservative(liquids)).reshape(len(liquids), -1)
+
+
+def second_images(
+    scene: Scene, liquids: Sequence[tuple[float, float]], tolerance: float, known: Sequence[Tabulated] = ()
+) -> Array:
+    """Order 2 of these, (liquids, pixels)."""
+    lens = CameraLens.of(scene)
     edged, _ = edged_and_smooth(scene if lens is None else lens.wide, fine=False)
-    second = twice_edged_of(edged, media, tables, known)
+    images = twice_edged_of(edged, _conservative(liquids), order_2_tolerance(scene, tolerance), known)
     if lens is not None:
-        second = np.array([lens.of_wide(one) for one in second])
-    return np.stack([first, second], axis=1).reshape(len(media), 2, -1)
+        images = np.array([lens.of_wide(one) for one in images])
+    return images.reshape(len(liquids), -1)
+
+
+def _conservative(liquids: Sequence[tuple[float, float]]) -> list[Medium]:
+    """Media at ϖ = 1 of some σt and g."""
+    return [Medium(0.0, sigma_t, g) for sigma_t, g in liquids]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from tankrig.light.double import double_scattering
 from tankrig.light.entering import is_plain
 from tankrig.light.leaving import CameraLens
 from tankrig.light.prepared.box import Box
-from tankrig.light.prepared.cache import Place
+from tankrig.light.prepared.cache import Place, regardless
 from tankrig.light.prepared.phases.answer import PhaseAnswer
 from tankrig.light.prepared.phases.assembly import PhaseImages, assemble
 from tankrig.light.prepared.phases.low import low_orders_at
@@ -31,7 +31,7 @@ Progress = Callable[[float], object]
 
 def place_of(scene: Scene, box: Box, tolerance: float) -> Place:
     """Where the cache keeps a model, whether it is there or not."""
-    return Place.of("any phase function", _regardless(scene), box, float(tolerance))
+    return Place.of("any phase function", regardless(scene), box, float(tolerance))
 
 
 def can_be_prepared(scene: Scene) -> bool:
@@ -58,7 +58,7 @@ def prepared_for_phases(
             "models of any phase function are prepared for collimated, sharp light, an orthographic camera and dark "
             'walls only; fit this scene by light paths (model = "tank"), or with phase = "hg"'
         )
-    scene = _regardless(scene)
+    scene = regardless(scene)
     place, plan = place_of(scene, box, tolerance), PhasePlan(box, scene.tank.size_mm[0], tolerance)
     known = place.kept(place.model)
     if known is not None:
@@ -78,11 +78,6 @@ def prepared_for_phases(
     place.clear_parts()
     progress(1.0)
     return answer, place.model
-
-
-def _regardless(scene: Scene) -> Scene:
-    """Of its medium, and of the file that it was read from."""
-    return replace(scene, medium=Medium(0.0, 0.01, 0.0), source="")
 
 
 def training_images(
