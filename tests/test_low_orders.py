@@ -133,8 +133,9 @@ def test_a_damaged_file_is_made_again(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_a_run_has_them_of_all_its_patterns_before_there_is_ink(monkeypatch: pytest.MonkeyPatch) -> None:
     other = replace(SCENE, projector=replace(LIGHT, beams=(Beam((8.0, 12.0), (38.0, 42.0)),)))
     assert foreseen([SCENE, other], (0.1, 0.5), None) == [([SCENE, other], LOOK)]
-    straight = Scene(Tank(), SCENE.medium, Projector("collimated", LIGHT.beams), Camera("orthographic", (8, 12), 20.0))
-    assert foreseen([straight, straight], (0.1, 0.5), None) == [([straight], LOOK)]
+    dark = replace(SCENE, tank=replace(TANK, faces=Faces()))
+    assert foreseen([dark, dark], (0.1, 0.5), None) == [([dark], LOOK)]
+    assert not low_orders.prepare_low_orders(dark, BOX)
     shares: list[float] = []
     model_for(other, LOOK, shares.append)
     assert shares == sorted(shares)

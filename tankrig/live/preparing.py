@@ -13,7 +13,7 @@ from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.about import box_for, holds
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.entrance import Entrance
-from tankrig.light.prepared.low_orders import prepare_low_orders
+from tankrig.light.prepared.low_orders import are_dear, prepare_low_orders
 from tankrig.light.rays import shift_invariant
 from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.results import diluted
@@ -60,8 +60,8 @@ def foreseen(
 ) -> list[tuple[Sequence[Scene], Box]]:
     """Models that can be prepared before there is any ink, the most wanted first: scenes, and the box they share.
 
-    A first look wants one pattern's. Where light or sight slant others' are prepared too, for the orders 1 and 2 of all
-    liquids that come with them.
+    A first look wants one pattern's. In a tank of glass others' are prepared too, for the orders 1 and 2 of all liquids
+    that come with them.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def foreseen(
         liquid = None if ink is None or dose_ml <= 0.0 else diluted(ink, 1.0, dose_ml)
         if liquid is not None and not any(holds(box, liquid) for box in boxes):
             boxes.append(box_for(liquid))
-    looked = [one for number, one in enumerate(scenes) if number == 0 or not shift_invariant(one)]
+    looked = [one for number, one in enumerate(scenes) if number == 0 or are_dear(one)]
     return [*((scenes, box) for box in boxes), (looked, LOOK)]
 
 

@@ -1,10 +1,10 @@
-"""Orders 1 and 2 of a pattern for all liquids that a bench may hold, before there is any ink.
+"""Orders 1 and 2 of a pattern for all liquids that a tank of glass may hold, before there is any ink.
 
-Where light and sight slant, what these orders cost is mostly what no liquid changes: in a tank of glass order 1 of
-twelve media takes 16 (three rays) and 35 CPU seconds (stripes), of which finding where lines of sight meet beams takes
-8 and 20. A dose's model wants twelve media. Polynomials over a wide box, of 49 media, are off by .02 to .08 % of the
-image at any other medium, so that the models of all doses read these orders there, and nobody waits for them once there
-is ink (decision 216).
+Behind clear walls what these orders cost is mostly what no liquid changes: of twelve media, which a dose's model wants,
+they take 16 (three beams) and 35 CPU seconds (stripes), of which finding where lines of sight meet beams takes 10 and
+22. Polynomials over a wide box, of 56 media, are off by .03 to .1 % of the image at any other medium, so that the
+models of all doses read these orders there, and nobody waits for them once there is ink (decision 211). Between dark
+walls a dose's own take a few seconds.
 """
 
 import math
@@ -34,8 +34,8 @@ LIQUIDS = Box((5e-5, 0.06), (0.5, 0.9999), (0.0, 0.95))
 TOLERANCE = 0.01
 """Of the models that they are for; order 2 is computed to half of it."""
 RATE = (3.4, 3.4)
-"""Degree of the polynomials per unit of the stretched σt and g: 6 and 6 in a tank of 240 mm. Of 49 media they are off
-by .02 to .08 % at ten others in a tank of glass, 8 and 8 of 81 media by .002 to .02 %."""
+"""Degree of the polynomials per unit of the stretched σt and g: 6 and 7 in a tank of 240 mm. Of 56 media they are off
+by .03 to .1 % at seven others in a tank of glass, 8 and 8 of 81 media by .002 to .02 %."""
 CHECKS = 4
 """Media beside the grid, where that error is seen."""
 FIRST_COST = 24.0
@@ -75,6 +75,11 @@ class LowOrders:
         return np.array(found)
 
 
+def are_dear(scene: Scene) -> bool:
+    """Whether a scene's orders 1 and 2 are worth preparing for all liquids: light comes back from clear walls."""
+    return not shift_invariant(scene) and any(scene.tank.faces.clear)
+
+
 def prepare_low_orders(
     scene: Scene, box: Box, progress: Callable[[float], object] = lambda _: None, threads: int = THREADS
 ) -> bool:
@@ -92,7 +97,7 @@ def prepare_low_orders(
     CacheError
         When there is no room for them.
     """
-    if shift_invariant(scene) or not _within(box):  # where light runs straight they take tenths of a second
+    if not are_dear(scene) or not _within(box):
         return False
     work = _Work(scene)
     if work.place.model.exists() and work.kept() is not None:
