@@ -12,7 +12,7 @@ from tankrig.estimation import with_prepared
 from tankrig.estimation.differences import values_of
 from tankrig.estimation.followed import Followed, in_water
 from tankrig.estimation.forward import family_models
-from tankrig.estimation.phase_families import as_free, free
+from tankrig.estimation.phase_families import as_free, free, reynolds_mccormick
 from tankrig.estimation.with_prepared import Lift, Lifted, WithPrepared, told_together
 from tankrig.light.behind_lenses import BehindLenses
 from tankrig.light.prepared.box import Box
@@ -24,7 +24,7 @@ from tankrig.light.tangent import tank_accurate
 from tankrig.light.tank import tank_image
 from tankrig.scene import Beam, Camera, Medium, Projector, Scene, Tank
 from tankrig.scene.mie import Mie
-from tankrig.scene.optics import Blur, Face, Faces, Halo
+from tankrig.scene.optics import SHARP, Blur, Face, Faces, Halo
 from tankrig.scene.phase_functions import Mixture, ReynoldsMcCormick, TwoTerm
 
 BEAMS = (Beam((-30.0, -10.0), (50.0, 58.0)), Beam((20.0, 28.0), (50.0, 58.0)))
@@ -330,6 +330,31 @@ def test_doses_of_a_pattern_have_their_low_orders_told_together(
     assert asked == [3, 3]
     alone = Lift.of(Followed(haloed, 2, 0, None, family=free(), tables=0.05)).of_low(LIQUIDS[1])
     assert np.allclose(factors[1], alone, rtol=1e-9)
+
+
+def test_doses_of_a_pattern_have_derivatives_of_order_1_told_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    once = BehindLenses.once
+
+    def counted(behind: BehindLenses, media: Sequence[Medium]) -> NDArray[np.float64]:
+        asked.append(len(media))
+        return once(behind, media)
+
+    family = reynolds_mccormick()
+    sharp = replace(SCENE, projector=replace(LIGHT, halo=Halo(0.02, 30.0)), camera=replace(CAMERA, blur=SHARP))
+    lift = Lift.of(Followed(sharp, 2, 0, None, family=family, tables=0.05))
+    doses = [Medium(1e-5 * dose, 0.001 * dose, phase=ReynoldsMcCormick(0.65, 1.0)) for dose in (2, 5, 20)]
+    dark = np.zeros((1, *CAMERA.shape))
+    places = [
+        WithPrepared(lift, CheckedOrders(None, dark[0], dark), one, lambda: dark, fine=True)  # type: ignore[arg-type]
+        for one in doses
+    ]
+    monkeypatch.setattr(BehindLenses, "once", counted)
+    with_prepared.fine_slopes_together(places, doses)
+    each = 2 + family.low.size  # as it is, with more absorption, and along each of the family's coordinates
+    assert asked == [3 * each]
+    lift.tell_beside(doses)
+    assert max(asked[1:]) == each  # the beams' alone; of all light nothing is computed again
 
 
 def test_behind_glass_low_orders_change_as_all_their_light_does(prepared: HighAnswer) -> None:

@@ -9,7 +9,7 @@ from tankrig.estimation.prior_weight import weight_of_priors
 from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.shots import Shot, weighed_problem
 from tankrig.estimation.versions import image_of, is_noisy
-from tankrig.estimation.with_prepared import told_together
+from tankrig.estimation.with_prepared import fine_slopes_together, told_together
 
 Versions = list[tuple[Model, Model]]
 """A model for each image, and the one whose derivatives are taken."""
@@ -38,6 +38,8 @@ def accurate_problem(
     solved for, or by a family's coordinates.
     """
     seen = [fine(liquid) for (fine, _), liquid in zip(versions, near.media, strict=True)]
+    if not rough:
+        fine_slopes_together([slope for _, slope in versions], near.media)
     forwards = [image_of(fine) for fine, _ in versions]
     differentiated = [
         fine if rough and (is_solved(fine) or shot.models.family) else slope

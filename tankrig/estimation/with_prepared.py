@@ -332,13 +332,26 @@ class WithPrepared:
 def told_together(models: Sequence[Model]) -> None:
     """Compute light beside for all media of the same pattern at once that models were made right at: behind glass order
     1 of three doses takes 13 CPU s, and so does that of one."""
-    centres: dict[Lift, list[Medium]] = {}
-    for one in models:
-        if isinstance(one, WithPrepared):
-            centres.setdefault(one.lift, []).append(one.centre)
-    for lift, media in centres.items():
+    ours = [one for one in models if isinstance(one, WithPrepared)]
+    for lift, media in _by_lift(ours, [one.centre for one in ours]):
         lift.tell_low(media)
         lift.tell_beside(media)
+
+
+def fine_slopes_together(models: Sequence[Model], media: Sequence[Medium]) -> None:
+    """Compute what fine derivatives at a medium of each model rest on for all those of the same pattern at once."""
+    ours = [(one, medium) for one, medium in zip(models, media, strict=True) if isinstance(one, WithPrepared)]
+    for lift, asked in _by_lift(*zip(*ours, strict=True)) if ours else ():
+        if not lift.nothing:
+            lift.whole.first_slopes(asked)
+
+
+def _by_lift(models: Sequence[WithPrepared], media: Sequence[Medium]) -> list[tuple[Lift, list[Medium]]]:
+    """Media of models that share a scene's light beside, as doses of a pattern do."""
+    found: dict[Lift, list[Medium]] = {}
+    for model, medium in zip(models, media, strict=True):
+        found.setdefault(model.lift, []).append(medium)
+    return list(found.items())
 
 
 def missed_slopes(paths: Followed, high: CheckedOrders, centre: Medium) -> Image:
