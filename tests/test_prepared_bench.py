@@ -225,7 +225,6 @@ def test_a_run_says_why_a_learned_bench_does_not_serve(folder: Path, monkeypatch
         return "model"
 
     monkeypatch.setattr(preparing, "prepare", prepare)
-    monkeypatch.setattr(preparing, "prepare_low_orders", lambda *_: False)
     monkeypatch.setattr(preparing, "tolerance_for", lambda *_: TOLERANCE)
     run = Preparing()
     run.want([lower], BOX)

@@ -332,7 +332,9 @@ def test_doses_of_a_pattern_have_their_low_orders_told_together(
     assert np.allclose(factors[1], alone, rtol=1e-9)
 
 
-def test_doses_of_a_pattern_have_derivatives_of_order_1_told_together(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doses_of_a_pattern_have_derivatives_of_order_1_told_together(
+    prepared: HighAnswer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked: list[int] = []
     once = BehindLenses.once
 
@@ -345,10 +347,8 @@ def test_doses_of_a_pattern_have_derivatives_of_order_1_told_together(monkeypatc
     lift = Lift.of(Followed(sharp, 2, 0, None, family=family, tables=0.05))
     doses = [Medium(1e-5 * dose, 0.001 * dose, phase=ReynoldsMcCormick(0.65, 1.0)) for dose in (2, 5, 20)]
     dark = np.zeros((1, *CAMERA.shape))
-    places = [
-        WithPrepared(lift, CheckedOrders(None, dark[0], dark), one, lambda: dark, fine=True)  # type: ignore[arg-type]
-        for one in doses
-    ]
+    right = CheckedOrders(prepared, dark[0], dark)
+    places = [WithPrepared(lift, right, one, lambda: dark, fine=True) for one in doses]
     monkeypatch.setattr(BehindLenses, "once", counted)
     with_prepared.fine_slopes_together(places, doses)
     each = 2 + family.low.size  # as it is, with more absorption, and along each of the family's coordinates
@@ -358,7 +358,7 @@ def test_doses_of_a_pattern_have_derivatives_of_order_1_told_together(monkeypatc
 
 
 def test_behind_glass_low_orders_change_as_all_their_light_does(prepared: HighAnswer) -> None:
-    """By factors of each pixel alone a fit followed derivatives that were 5 to 30 % off, through twelve places."""
+    """By factors of each pixel alone derivatives by the shapes of a phase function were 5 to 30 % off."""
     family = free()
     lift = Lift.of(Followed(GLASS, 2, 0, None, family=family, tables=0.05))
     right = CheckedOrders(prepared, np.zeros(CAMERA.shape), np.zeros((1, *CAMERA.shape)))

@@ -216,17 +216,11 @@ class Followed:
         """Orders 1 and 2 of several media, such as an ink's doses: order 1 of three takes as long as that of one."""
         from tankrig.light.tangent import low_images
 
-        kept = self._known_low
-        found = dict(kept)  # a copy, since views that are computed side by side share a model
-        asked = [medium for medium in dict.fromkeys(media) if medium not in found]
-        if asked:
+        def compute(asked: Sequence[Medium]) -> Sequence[Image]:
             liquids = [in_water(medium, self.water_sigma_s) for medium in asked]
-            told = dict(zip(asked, low_images(self.scene, liquids, self.tables), strict=True))
-            found |= told
-            kept.update(told)
-            for old in list(kept)[: -max(MOST_LOW, len(media))]:
-                kept.pop(old, None)
-        return [found[medium] for medium in media]
+            return list(low_images(self.scene, liquids, self.tables))
+
+        return _of_each(media, self._known_low, MOST_LOW, compute)
 
     @cached_property
     def _known_low(self) -> dict[Medium, Image]:
@@ -237,18 +231,18 @@ class Followed:
         from tankrig.estimation.differences import turning_of
         from tankrig.light.tangent import first_orders
 
-        assert self.family is not None
-        kept = self._known_first
-        found = dict(kept)
-        asked = [medium for medium in dict.fromkeys(media) if medium not in found]
-        if asked:
-            turnings, sizes = zip(*(turning_of(medium, self.family) for medium in asked), strict=True)
+        family = self.family
+        assert family is not None
+
+        def compute(asked: Sequence[Medium]) -> list[tuple[Image, Image]]:
+            turnings, sizes = zip(*(turning_of(medium, family) for medium in asked), strict=True)
             firsts = first_orders(self.scene, asked, [one.others for one in turnings])
-            for medium, size, (image, slopes) in zip(asked, sizes, firsts, strict=True):
-                found[medium] = kept[medium] = image, slopes / np.append(np.ones(2), size)[:, None, None]
-            for old in list(kept)[: -max(MOST_FIRST, len(media))]:
-                kept.pop(old, None)
-        return [found[medium] for medium in media]
+            return [
+                (image, slopes / np.append(np.ones(2), size)[:, None, None])
+                for size, (image, slopes) in zip(sizes, firsts, strict=True)
+            ]
+
+        return _of_each(media, self._known_first, MOST_FIRST, compute)
 
     @cached_property
     def _known_first(self) -> dict[Medium, tuple[Image, Image]]:
@@ -443,6 +437,24 @@ def tank_along(scene: Scene, max_order: int | None, batches: int, seed: int, blu
         found.image - exact, [blur_mm / side for side in scene.camera.sides_mm], mode="nearest"
     )
     return replace(found, image=image)
+
+
+def _of_each(
+    media: Sequence[Medium],
+    kept: dict[Medium, Answer],
+    most: int,
+    compute: Callable[[Sequence[Medium]], Sequence[Answer]],
+) -> list[Answer]:
+    """Answers for media: those that are kept, and the others computed together, of which the newest are kept."""
+    found = dict(kept)  # a copy, since views that are computed side by side share a model
+    asked = [medium for medium in dict.fromkeys(media) if medium not in found]
+    if asked:
+        told = dict(zip(asked, compute(asked), strict=True))
+        found |= told
+        kept.update(told)
+        for old in list(kept)[: -max(most, len(media))]:
+            kept.pop(old, None)
+    return [found[medium] for medium in media]
 
 
 def remembered(forward: Callable[[Medium], Answer]) -> Callable[[Medium], Answer]:

@@ -5,7 +5,7 @@ Where light or sight slants, an image by 3·10⁵ light paths has 1 to 5 % of no
 
 Light of a halo, light that walls send back and what a wide lens makes of edges take three to ten times as long as the
 rest together, and change with the liquid nearly as that does: they are computed at one medium, as a factor of each
-pixel's other light (`Lift`).
+pixel's other light, with what derivatives of both differ by there (`Lift`).
 """
 
 import math
@@ -89,7 +89,7 @@ class Lift:
         """Compute what `beside` rests on of those media that are of the family, for all of them together."""
         family = self.whole.family
         ours = [] if self.nothing or family is None else [one for one in centres if family.has(one.phase)]
-        new = [one for one in ours if not self._is_told(one)]
+        new = [one for one in ours if self._told_near(one) is None]
         if new:
             self.whole.first_slopes(new)
         for one in new:
@@ -98,12 +98,12 @@ class Lift:
     def beside(self, centre: Medium) -> Image:
         """(2 + k, rows, columns) by how much more than the beams' own light the logarithm of orders 1 and 2 changes
         with σa, σs and the family's coordinates; what was told of a medium that is `ALIKE` serves again."""
-        for place, shares in self._told:
-            if (np.abs(self.place_of(centre) - place) < 1.0).all():
-                return shares
+        known = self._told_near(centre)
+        if known is not None:
+            return known
         whole, beams = self.low_shares(centre)
         self._told[:] = [*self._told[1 - MOST_TOLD :], (self.place_of(centre), whole - beams)]
-        return self._told[-1][1]
+        return whole - beams
 
     def low_shares(self, medium: Medium, fine: bool = False) -> tuple[Image, Image]:
         """(2 + k, rows, columns) derivatives of the logarithm of orders 1 and 2: of all light, and of the beams' own.
@@ -128,8 +128,10 @@ class Lift:
         at = _logarithms(medium, self.whole.family)
         return np.concatenate([at[:2] / ALIKE[0], at[2:] / ALIKE[1]])
 
-    def _is_told(self, centre: Medium) -> bool:
-        return any((np.abs(self.place_of(centre) - place) < 1.0).all() for place, _ in self._told)
+    def _told_near(self, centre: Medium) -> Image | None:
+        """What was told of a medium that is `ALIKE`; None where there is none."""
+        at = self.place_of(centre)
+        return next((shares for place, shares in self._told if (np.abs(at - place) < 1.0).all()), None)
 
     @cached_property
     def _told(self) -> list[tuple[NDArray[np.float64], Image]]:
@@ -332,8 +334,7 @@ class WithPrepared:
 def told_together(models: Sequence[Model]) -> None:
     """Compute light beside for all media of the same pattern at once that models were made right at: behind glass order
     1 of three doses takes 13 CPU s, and so does that of one."""
-    ours = [one for one in models if isinstance(one, WithPrepared)]
-    for lift, media in _by_lift(ours, [one.centre for one in ours]):
+    for lift, media in _by_lift([(one, one.centre) for one in models if isinstance(one, WithPrepared)]):
         lift.tell_low(media)
         lift.tell_beside(media)
 
@@ -341,15 +342,15 @@ def told_together(models: Sequence[Model]) -> None:
 def fine_slopes_together(models: Sequence[Model], media: Sequence[Medium]) -> None:
     """Compute what fine derivatives at a medium of each model rest on for all those of the same pattern at once."""
     ours = [(one, medium) for one, medium in zip(models, media, strict=True) if isinstance(one, WithPrepared)]
-    for lift, asked in _by_lift(*zip(*ours, strict=True)) if ours else ():
+    for lift, asked in _by_lift(ours):
         if not lift.nothing:
             lift.whole.first_slopes(asked)
 
 
-def _by_lift(models: Sequence[WithPrepared], media: Sequence[Medium]) -> list[tuple[Lift, list[Medium]]]:
+def _by_lift(asked: Sequence[tuple[WithPrepared, Medium]]) -> list[tuple[Lift, list[Medium]]]:
     """Media of models that share a scene's light beside, as doses of a pattern do."""
     found: dict[Lift, list[Medium]] = {}
-    for model, medium in zip(models, media, strict=True):
+    for model, medium in asked:
         found.setdefault(model.lift, []).append(medium)
     return list(found.items())
 

@@ -12,7 +12,6 @@ from typing import Literal
 from tankrig.image.prepare import Prepared, prepare
 from tankrig.light.prepared.about import box_for, holds
 from tankrig.light.prepared.box import Box
-from tankrig.light.prepared.entrance import Entrance
 from tankrig.light.prepared.low_orders import are_dear, prepare_low_orders
 from tankrig.light.rays import shift_invariant
 from tankrig.live.photograph_plan import PhotographPlan
@@ -27,7 +26,7 @@ LOOK, LOOK_TOLERANCE, LOOK_START = Box((5e-4, 0.06), (0.5, 0.9999), (0.0, 0.93))
 """Media among which a first look finds about where the liquid is, from one pattern; the error that is asked for, and
 where the look begins."""
 LOW_SHARE = 0.7
-"""Of the time that a model takes, what orders 1 and 2 of all liquids take where they are prepared first."""
+"""Share of the time that a model takes in which orders 1 and 2 of all liquids are prepared, where they are first."""
 KEPT_S = 1.0
 """A model that took no longer was kept on disk, and tells nothing of what others take."""
 
@@ -109,6 +108,8 @@ def unlike_learned(scene: Scene, box: Box, phases: Phases = "hg") -> str:
 
     First looks follow fewer paths than learning takes.
     """
+    from tankrig.light.prepared.entrance import Entrance
+
     if phases != "hg" or box == LOOK or is_kept(scene, box, phases):
         return ""
     return Entrance.unlike(scene, box, tolerance_for(scene, box))
@@ -271,8 +272,7 @@ def model_for(
     TankrigError
         When it cannot be prepared or kept.
     """
-    tolerance = tolerance_for(scene, box)
-    wanted = phases == "hg" and not is_kept(scene, box) and Entrance.known_to(scene, box, tolerance) is None
+    wanted = phases == "hg" and not is_kept(scene, box)
     made = wanted and prepare_low_orders(scene, box, lambda share: progress(LOW_SHARE * share))
     before = LOW_SHARE if made else 0.0
 
@@ -281,7 +281,7 @@ def model_for(
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the error is counted in every covariance
-        return prepare(scene, tolerance, rest, box, phases=phases)
+        return prepare(scene, tolerance_for(scene, box), rest, box, phases=phases)
 
 
 def tolerance_for(scene: Scene, box: Box) -> float:

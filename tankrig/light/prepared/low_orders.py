@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 LIQUIDS = Box((5e-5, 0.06), (0.5, 0.9999), (0.0, 0.95))
 """Media that these orders are prepared for."""
 TOLERANCE = 0.01
-"""Of the models that they are for; order 2 is computed to half of it."""
+"""The finest tolerance of models that read these orders; order 2 is computed to half of it."""
 RATE = (3.4, 3.4)
 """Degree of the polynomials per unit of the stretched σt and g: 6 and 7 in a tank of 240 mm. Of 56 media they are off
 by .03 to .1 % at seven others in a tank of glass, 8 and 8 of 81 media by .002 to .02 %."""
@@ -64,7 +64,7 @@ class LowOrders:
     @classmethod
     def kept_for(cls, scene: Scene, box: Box, tolerance: float) -> "LowOrders | None":
         """What the cache keeps for a scene, where it serves a model of a box and a tolerance; else None."""
-        return _Work(scene).kept() if tolerance >= TOLERANCE and _within(box) else None
+        return _Work(scene).kept() if tolerance >= TOLERANCE and _serve(scene, box) else None
 
     def images(self, liquids: Sequence[tuple[float, float]]) -> Array:
         """(liquids, 2, pixels) of liquids of some σt and g, W/mm²/sr, as `exact_images` has them."""
@@ -97,7 +97,7 @@ def prepare_low_orders(
     CacheError
         When there is no room for them.
     """
-    if not are_dear(scene) or not _within(box):
+    if not _serve(scene, box):
         return False
     work = _Work(scene)
     if work.place.model.exists() and work.kept() is not None:
@@ -117,10 +117,10 @@ def interpolated(samples: Sequence[Sample], plane: Plane, images: Array, order: 
     return Term(order, plane, plane, fields[None], scale[None])
 
 
-def _within(box: Box) -> bool:
-    """Whether orders are prepared for all of a box; their light goes with the albedo as it does."""
+def _serve(scene: Scene, box: Box) -> bool:
+    """Whether models of a box read a scene's orders here; any albedo will do, for light goes with its powers."""
     inside = ((box.sigma_t, LIQUIDS.sigma_t), (box.g, LIQUIDS.g))
-    return all(lowest <= low and high <= highest for (low, high), (lowest, highest) in inside)
+    return are_dear(scene) and all(lowest <= low and high <= highest for (low, high), (lowest, highest) in inside)
 
 
 class _Work:

@@ -71,8 +71,7 @@ def prepared(
         progress(1.0)
         return known, place.model
     entrance = Entrance.known_to(scene, box, tolerance)
-    low = None if entrance is not None else LowOrders.kept_for(scene, box, tolerance)
-    work = _Work(sampling, plan, place, entrance, low)
+    work = _Work(sampling, plan, place, entrance, LowOrders.kept_for(scene, box, tolerance))
     place.require_room(work.size)
     unlike = Entrance.unlike(scene, box, tolerance)
     if unlike:
