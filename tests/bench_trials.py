@@ -141,7 +141,7 @@ def _times(path: Path) -> tuple[tuple[float, ...], tuple[float, ...], float]:
             if event.get("fit") == "dose" and abs(event["dose_ml"] - dose_ml) < 1e-4 and event.moment.mono_ns > ended_ns
         ]
         most = max((len(event["patterns"]) for event in after), default=0)
-        whole = [event for event in after if len(event["patterns"]) == most]
+        whole = [event for event in after if len(event["patterns"]) == most and not event.get("first")]
         for seconds, some in ((dose_s, after), (whole_s, whole)):
             first_ns = min((event.moment.mono_ns for event in some), default=float("nan"))
             seconds.append((first_ns - ended_ns) / 1e9)

@@ -1,8 +1,18 @@
 """In place of preparing: models that a test says are there, or not yet."""
 
+from dataclasses import dataclass
+
 from tankrig.light.prepared.about import box_for
 from tankrig.light.prepared.box import Box
 from tankrig.scene.description import Medium, Scene
+
+
+@dataclass(frozen=True)
+class Model:
+    """Stands in for a prepared model."""
+
+    box: Box
+    first: bool = False
 
 
 class Ready:
@@ -17,8 +27,12 @@ class Ready:
 
     def want(self, *_: object) -> None: ...
 
-    def models(self, scenes: list[Scene], _box: Box) -> list[object] | None:
-        return [object()] * len(scenes) if self.there else None
+    def models(self, scenes: list[Scene], box: Box) -> list[Model] | None:
+        return [Model(box)] * len(scenes) if self.there else None
+
+    def model_so_far(self, scene: Scene, box: Box) -> Model | None:
+        models = self.models([scene], box)
+        return models[0] if models else None
 
     def under_way(self, *_: object) -> bool:
         return True
@@ -36,16 +50,21 @@ class Boxes(Ready):
         assert list(scenes)
         self.wanted = [box, *(one for one in self.wanted if one != box)]
 
-    def models(self, scenes: list[Scene], box: Box) -> list[object] | None:
-        return [box] * len(scenes) if box in self.ready else None
+    def models(self, scenes: list[Scene], box: Box) -> list[Model] | None:
+        return [Model(box)] * len(scenes) if box in self.ready else None
 
 
 class ByPattern(Boxes):
-    """Models are ready by pattern."""
+    """Models are ready by pattern, first ones and whole ones."""
 
     def __init__(self) -> None:
         super().__init__()
+        self.first_scenes: list[Scene] = []
         self.ready_scenes: list[Scene] = []
 
-    def models(self, scenes: list[Scene], box: Box) -> list[object] | None:
-        return [box] * len(scenes) if box in self.ready or set(scenes) <= set(self.ready_scenes) else None
+    def models(self, scenes: list[Scene], box: Box) -> list[Model] | None:
+        there = box in self.ready or set(scenes) <= set(self.ready_scenes)
+        return [Model(box)] * len(scenes) if there else None
+
+    def model_so_far(self, scene: Scene, box: Box) -> Model | None:
+        return super().model_so_far(scene, box) or (Model(box, first=True) if scene in self.first_scenes else None)

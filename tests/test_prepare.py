@@ -402,9 +402,9 @@ def test_faint_marks_that_stand_for_others_lose_no_light_and_add_little_noise(me
 def test_where_dense_water_scatters_straight_on_paths_turn_later(monkeypatch: pytest.MonkeyPatch) -> None:
     """In the box's worst corner a lattice had twice the noise."""
     sampling, medium = PathImages(SCENE, (0.999,)), Medium(0.0, 0.08, 0.95)
-    late = scatter(np.array([sampling.sample(medium, number, 1)[0] for number in range(12)]))
+    late = scatter(np.array([sampling.sample(medium, number, range(1))[0] for number in range(12)]))
     monkeypatch.setattr(sampling_module, "TURNS_PER_DEPTH", 0.0)
-    early = scatter(np.array([sampling.sample(medium, number, 1)[0] for number in range(12)]))
+    early = scatter(np.array([sampling.sample(medium, number, range(1))[0] for number in range(12)]))
     assert late < 0.75 * early
 
 

@@ -244,7 +244,7 @@ def test_light_beside_the_band_is_followed_by_few_paths(followed: list[Scene]) -
     sampling, sample = PathImages(lit_by(beam, weak), known.plan.albedos), known.plan.paths[0]
     image = dict(known.images(sampling, [sample]))[sample.index]
     assert [one.projector.beams for one in followed] == [(weak,)]
-    direct = sampling.sample(Medium(0.0, sample.sigma_t, sample.g), 7, 30)
+    direct = sampling.sample(Medium(0.0, sample.sigma_t, sample.g), 7, range(30))
     light, truth = (float((one[-1] @ sampling.along.T).sum()) for one in (image, direct))
     assert light == pytest.approx(truth, rel=0.08)
 

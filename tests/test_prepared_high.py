@@ -105,7 +105,7 @@ def test_order_2_of_light_without_edges_is_not_counted_twice(monkeypatch: pytest
     scene = replace(SCENE, projector=replace(LIGHT, halo=Halo(0.02, 30.0)))
     monkeypatch.setattr(plan, "FEWEST", 0.01)
     few = plan.PhasePlan(BOX, 240.0, 1.0, slanted=True)
-    assert PathImages(scene, (1.0,)).twice_smooth(LIQUIDS[0], 1, 1).any()
+    assert PathImages(scene, (1.0,)).twice_smooth(LIQUIDS[0], 1, range(1)).any()
 
     def asked(*_: object) -> None:
         raise AssertionError("order 2 was asked of the paths")

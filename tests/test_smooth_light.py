@@ -53,7 +53,7 @@ def test_smooth_light_is_looked_up_on_coarse_cells_and_shows_the_same():
 def test_a_prepared_models_order_2_of_smooth_light_comes_along_paths():
     scene = a_dim_scene()
     paths, lens = PathImages(scene, (1.0, 0.8)), CameraLens.of(scene)
-    found = paths.to_pixels(paths.twice_smooth(MEDIUM, 1, 24))
+    found = paths.to_pixels(paths.twice_smooth(MEDIUM, 1, range(24)))
     np.testing.assert_allclose(found[1], 0.64 * found[0], rtol=1e-9)
     expected = lens.of_wide(smooth_by_tables())
     bright = expected > 0.2 * expected.max()
@@ -61,7 +61,7 @@ def test_a_prepared_models_order_2_of_smooth_light_comes_along_paths():
     assert abs(off.mean()) < 0.01
     assert np.sqrt(np.mean(off**2)) < 0.1  # by so few paths
     rays = replace(scene, projector=replace(scene.projector, halo=NO_HALO, black_level=0.0))
-    assert not PathImages(rays, (1.0,)).twice_smooth(MEDIUM, 1, 1).any()
+    assert not PathImages(rays, (1.0,)).twice_smooth(MEDIUM, 1, range(1)).any()
 
 
 def with_little_light():

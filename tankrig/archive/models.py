@@ -59,6 +59,10 @@ class ModelsOnDemand(Preparing):
         ready = [self._used[one] for one in wanted if one in self._used]
         return ready if len(ready) == len(wanted) else None
 
+    def model_so_far(self, scene: Scene, box: Box) -> Prepared | None:
+        """The whole one."""
+        return next(iter(self.models([scene], box) or ()), None)
+
     def under_way(self, scenes: Iterable[Scene], box: Box) -> bool:  # noqa: ARG002
         """Never: what is not there when it is asked for cannot be prepared."""
         return False

@@ -53,7 +53,7 @@ class Prepared:
     largest_error
         The largest over the box.
     path
-        The file that keeps it.
+        The file that keeps it; None of a first model.
     answer
         What answers.
     phases
@@ -65,10 +65,15 @@ class Prepared:
     tolerance: float
     error: float
     largest_error: float
-    path: Path
+    path: Path | None
     answer: "Answer | PhaseAnswer" = field(repr=False)
     phases: Literal["hg", "any"] = "hg"
     _known: "dict[Medium, _Errors]" = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    @property
+    def first(self) -> bool:
+        """Whether it is a first model, by a share of the whole one's light paths."""
+        return self.path is None
 
     @overload
     def predict(self, medium: Medium, derivatives: Literal[False] = False) -> Array: ...
@@ -236,6 +241,7 @@ def prepare(
     box: "Box | None" = None,
     threads: int = THREADS,
     phases: Literal["hg", "any"] = "hg",
+    first: bool = False,
 ) -> Prepared:
     """Prepare a model that gives the tank's image of any medium, and its derivatives, in about a millisecond.
 
@@ -258,6 +264,10 @@ def prepare(
     phases
         Which phase functions it answers for: "hg", Henyey–Greenstein's, or "any". For any, light and sight must run
         straight, and lenses and walls be ideal.
+    first
+        Whether a first model is enough, which errs by twice as much as the whole one where light or sight slant, and is
+        there much sooner. It is not kept, but the whole one goes on from there. Of any phase functions, and where light
+        and sight run straight, it is the whole one.
 
     Returns
     -------
@@ -292,7 +302,7 @@ def prepare(
     tell = progress or (lambda _: None)
     if phases == "any":
         return _for_any_phase(scene, tolerance, tell, box, threads)
-    answer, path = prepared(scene, box, tolerance, tell, threads)
+    answer, path = prepared(scene, box, tolerance, tell, threads, first)
     mean, largest, where = answer.error_over_box()
     if largest > tolerance:
         warnings.warn(

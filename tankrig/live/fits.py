@@ -88,7 +88,8 @@ def fit_dose_prepared(
     """
     family = asked_for(phase, photographs[0].scene).family
     prepared = [models_of(one.scene, one, None, family) for one in models]
-    return _fitted(photographs, prepared, start, phase=phase, quick=quick)
+    found = _fitted(photographs, prepared, start, phase=phase, quick=quick)
+    return None if found is None else replace(found, first=any(one.first for one in models))
 
 
 def _fitted(

@@ -59,6 +59,8 @@ def doubts(fit: DoseFit | SeriesFit) -> str:
     said = f"; not determined: {', '.join(no)}" if no else ""
     if isinstance(fit, DoseFit) and fit.model == FIRST_LOOK:
         said += "; a first look at one pattern, the fit is to come"
+    if isinstance(fit, DoseFit) and fit.first:
+        said += "; by a model of few light paths, a closer fit is to come"
     if isinstance(fit, DoseFit) and fit.structure:
         said += f"; {100.0 * fit.structure:.2g} % of the light is not as the model has it, and counted in the errors"
     if isinstance(fit, DoseFit) and fit.order_one:

@@ -30,7 +30,12 @@ LOW_SHARE = 0.7
 KEPT_S = 1.0
 """A model that took no longer was kept on disk, and tells nothing of what others take."""
 
+FIRST_SHARE = 0.3
+"""Share of the time of a model of two stages that the first takes."""
+
 Told = Callable[[str], object]
+Wanted = tuple[Scene, Box]
+"""What a model is wanted for."""
 Phases = Literal["hg", "any"]
 """Phase functions that a model answers for: Henyey–Greenstein's, or any."""
 
@@ -120,6 +125,11 @@ def is_kept(scene: Scene, box: Box, phases: Phases = "hg") -> bool:
     return file_of(scene, box, phases).exists()
 
 
+def takes_long(scene: Scene, box: Box, phases: Phases = "hg") -> bool:
+    """Whether a first model of a scene is there much sooner than the whole one."""
+    return phases == "hg" and box != LOOK and not shift_invariant(scene) and not is_kept(scene, box)
+
+
 class _NotWantedError(Exception):
     """Raised in the middle of a preparation that is not wanted any more."""
 
@@ -127,7 +137,9 @@ class _NotWantedError(Exception):
 class Preparing:
     """Prepares models in a thread of its own, one computation at a time, and hands them out as they become ready.
 
-    What was begun when it is closed stays in the cache folder, and the next run goes on with it.
+    Where somebody waits for fits, first models of all that is wanted come before whole ones, each in their order; the
+    whole ones go on with what first ones have followed. What was begun when it is closed stays in the cache folder, and
+    the next run goes on with it.
 
     Parameters
     ----------
@@ -137,19 +149,28 @@ class Preparing:
         Seconds; for the time that is left.
     phases
         Which phase functions the models are for.
+    first
+        Whether first models are made where whole ones take long.
     """
 
     def __init__(
-        self, told: Told = lambda _: None, clock: Callable[[], float] = time.monotonic, phases: Phases = "hg"
+        self,
+        told: Told = lambda _: None,
+        clock: Callable[[], float] = time.monotonic,
+        phases: Phases = "hg",
+        first: bool = False,
     ) -> None:
-        self._told, self._clock, self._phases = told, clock, phases
+        self._told, self._clock, self._phases, self._with_first = told, clock, phases, first
         self._closing = False
         self._began_s, self._share, self._note = clock(), 0.0, ""
-        self._took_s: dict[tuple[Scene, Box], float] = {}
+        self._spent_s: dict[Wanted, float] = {}
+        self._took_s: dict[Wanted, float] = {}
         self._change = threading.Condition()
-        self._waiting: list[tuple[Scene, Box]] = []
-        self._models: dict[tuple[Scene, Box], Prepared] = {}
-        self._refused: set[tuple[Scene, Box]] = set()
+        self._waiting: list[Wanted] = []
+        self._two_stages: set[Wanted] = set()
+        self._first: dict[Wanted, Prepared] = {}
+        self._models: dict[Wanted, Prepared] = {}
+        self._refused: set[Wanted] = set()
         self._thread = threading.Thread(target=self._work, name="preparing", daemon=True)
         self._thread.start()
 
@@ -162,7 +183,9 @@ class Preparing:
     def want(self, scenes: Iterable[Scene], box: Box) -> None:
         """Prepare models of scenes next, in their order, where they are not ready; returns at once."""
         wanted = [(scene, box) for scene in scenes]
+        long = {one for one in wanted if self._with_first and takes_long(*one, self._phases)}
         with self._change:
+            self._two_stages |= long
             self._waiting = [
                 *(one for one in wanted if one not in self._models and one not in self._refused),
                 *(one for one in self._waiting if one not in wanted),
@@ -175,6 +198,11 @@ class Preparing:
             found = [self._models.get((scene, box)) for scene in scenes]
         ready = [model for model in found if model is not None]
         return ready if len(ready) == len(found) else None
+
+    def model_so_far(self, scene: Scene, box: Box) -> Prepared | None:
+        """The model of a scene, or a first one until that is ready; None where there is neither."""
+        with self._change:
+            return self._models.get((scene, box), self._first.get((scene, box)))
 
     def under_way(self, scenes: Iterable[Scene], box: Box) -> bool:
         """Whether models of scenes are going to be ready."""
@@ -191,18 +219,24 @@ class Preparing:
     def left(self) -> Preparation:
         """What is still to be prepared, and how long that takes at the pace so far."""
         with self._change:
-            waiting, share, spent_s = list(self._waiting), self._share, self._clock() - self._began_s
-            note = self._note
-            took_s = dict(self._took_s)
-        if not waiting:
+            waiting, stage, note = list(self._waiting), self._stage(), self._note
+            spent_s, took_s = dict(self._spent_s), dict(self._took_s)
+            here_s, share = self._clock() - self._began_s, self._share
+        if stage is None:
             return Preparation(0, 0.0)
-        if share > 0.0:
-            took_s.setdefault(waiting[0], spent_s / share)
+        under_way, first = stage
+        spent_s[under_way] = spent_s.get(under_way, 0.0) + here_s
+        before = FIRST_SHARE if under_way in self._first else 0.0
+        done = before + share * (FIRST_SHARE if first else 1.0 - before)
+        if done > 0.0:
+            took_s.setdefault(under_way, spent_s[under_way] / done)
         each_s = [_like(took_s, *one) for one in waiting]
-        known_s = [one for one in each_s if one is not None]
-        if len(known_s) < len(each_s):
-            return Preparation(len(waiting), None, note)
-        return Preparation(len(waiting), known_s[0] * (1.0 - share) + sum(known_s[1:]), note)
+        left_s = [
+            max(0.0, whole_s - spent_s.get(one, 0.0))
+            for one, whole_s in zip(waiting, each_s, strict=True)
+            if whole_s is not None
+        ]
+        return Preparation(len(waiting), sum(left_s) if len(left_s) == len(waiting) else None, note)
 
     def close(self) -> None:
         """End; the computation under way is finished first, which takes a second or so."""
@@ -211,43 +245,65 @@ class Preparing:
             self._change.notify_all()
         self._thread.join()
 
+    def _stage(self) -> tuple[Wanted, bool] | None:
+        """What is to be prepared now, and whether as a first model; None where nothing is. With the lock held."""
+        for one in self._waiting:
+            if one not in self._first:
+                return one, one in self._two_stages
+        return (self._waiting[0], False) if self._waiting else None
+
     def _work(self) -> None:
         while True:
             with self._change:
                 self._change.wait_for(lambda: self._waiting or self._closing)
-                if self._closing:
+                stage = self._stage()
+                if self._closing or stage is None:
                     return
-                scene, box = wanted = self._waiting[0]
                 self._began_s, self._share, self._note = self._clock(), 0.0, ""
+            one, first = stage
             try:
-                note = unlike_learned(scene, box, self._phases)
+                note = unlike_learned(*one, self._phases)
                 with self._change:
                     self._note = note
-                model = self._prepared(scene, box)
+                model = self._prepared(stage)
             except _NotWantedError:
+                self._count_time(one)
                 continue
             except Exception as error:  # whatever it is, today's fit goes on
                 with self._change:
-                    self._refused.add(wanted)
+                    self._refused.add(one)
+                    self._waiting = [other for other in self._waiting if other != one]
                 self._told(f"no model could be prepared for the live fit: {error}")
-            else:
-                with self._change:
-                    self._models[wanted] = model
-                    took_s = self._clock() - self._began_s
-                    if took_s > KEPT_S:
-                        self._took_s[wanted] = took_s
+                continue
+            took_s = self._count_time(one)
             with self._change:
-                self._waiting = [one for one in self._waiting if one != wanted]
-                self._share = 0.0
+                if first:
+                    self._first[one] = model
+                else:
+                    self._models[one] = model
+                    self._first.pop(one, None)
+                    self._waiting = [other for other in self._waiting if other != one]
+                    if took_s > KEPT_S:
+                        self._took_s[one] = took_s
             self._told("")
 
-    def _prepared(self, scene: Scene, box: Box) -> Prepared:
-        def progress(share: float) -> None:
-            self._share = share
-            if self._closing or self._waiting[:1] != [(scene, box)]:
-                raise _NotWantedError
+    def _count_time(self, one: Wanted) -> float:
+        """Seconds that a model has taken so far, with what has just ended."""
+        with self._change:
+            self._spent_s[one] = self._spent_s.get(one, 0.0) + self._clock() - self._began_s
+            self._began_s, self._share = self._clock(), 0.0
+            return self._spent_s[one]
 
-        return model_for(scene, box, progress, self._phases)
+    def _prepared(self, stage: tuple[Wanted, bool]) -> Prepared:
+        (scene, box), first = stage
+
+        def progress(share: float) -> None:
+            with self._change:
+                self._share = share
+                if self._closing or self._stage() != stage:
+                    raise _NotWantedError
+
+        return model_for(scene, box, progress, self._phases, first)
 
 
 def _like(took_s: Mapping[tuple[Scene, Box], float], scene: Scene, box: Box) -> float | None:
@@ -263,9 +319,13 @@ def _like(took_s: Mapping[tuple[Scene, Box], float], scene: Scene, box: Box) -> 
 
 
 def model_for(
-    scene: Scene, box: Box, progress: Callable[[float], object] = lambda _: None, phases: Phases = "hg"
+    scene: Scene,
+    box: Box,
+    progress: Callable[[float], object] = lambda _: None,
+    phases: Phases = "hg",
+    first: bool = False,
 ) -> Prepared:
-    """The model of a scene for a box as a live fit asks for it, from the cache or made now.
+    """The model of a scene for a box as a live fit asks for it, from the cache or made now; see `prepare`.
 
     Raises
     ------
@@ -281,7 +341,7 @@ def model_for(
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the error is counted in every covariance
-        return prepare(scene, tolerance_for(scene, box), rest, box, phases=phases)
+        return prepare(scene, tolerance_for(scene, box), rest, box, phases=phases, first=first)
 
 
 def tolerance_for(scene: Scene, box: Box) -> float:

@@ -116,6 +116,8 @@ class DoseFit:
     order_one
         A sentence where order 1, separated without a model, disagrees with the fit; empty where it agrees, or where the
         dose was not separated.
+    first
+        Whether it is by a first model of a pattern, and another fit was to come.
     """
 
     dose_ml: float
@@ -139,11 +141,12 @@ class DoseFit:
     scattering: PhaseFound | None = None
     astray: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     order_one: str = ""
+    first: bool = False
 
     @property
     def rough(self) -> bool:
-        """Whether it saw a floor's light by few paths, as first fits do, and another one was to come."""
-        return self.single is None and "floor" in self.astray
+        """Whether it is by first models, or saw a floor's light by few paths, and another one was to come."""
+        return self.first or (self.single is None and "floor" in self.astray)
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,8 @@ def _end_with_parent(memory: SharedMemory) -> None:
 
 
 def _fit(shared: Shared, memory: SharedMemory) -> None:
-    preparing = Preparing(lambda _: shared.news.set(), phases=phases_prepared(shared.plan) or "hg")
+    phases = phases_prepared(shared.plan) or "hg"
+    preparing = Preparing(lambda _: shared.news.set(), phases=phases, first=True)
     fitter = Fitter(shared.earlier, preparing, shared.plan, sheets=SheetsSoFar(shared.path))
     told: list[Preparation] = []
 

@@ -151,9 +151,9 @@ class Entrance:
             found = put_together(weights, [self._learned(one, used) for one in some], sampling.along)
             for sample, image in zip(some, found, strict=True):
                 medium = Medium(0.0, sample.sigma_t, sample.g)
-                image = image + sampling.twice_smooth(medium, sample.index, sample.batches)
+                image = image + sampling.twice_smooth(medium, sample.index, range(sample.batches))
                 if rest is not None:
-                    image = image + rest.sample(medium, sample.index, max(1, round(share * sample.batches)))
+                    image = image + rest.sample(medium, sample.index, range(max(1, round(share * sample.batches))))
                 yield sample.index, np.asarray(image, float)
 
     def learn_one(self, sample: Sample) -> None:
@@ -162,7 +162,8 @@ class Entrance:
             return
         medium, batches = Medium(0.0, sample.sigma_t, sample.g), self.batches(sample)
         images = [
-            PathImages(one, self.plan.albedos).sample(medium, sample.index, batches) for one in self.strips.scenes
+            PathImages(one, self.plan.albedos).sample(medium, sample.index, range(batches))
+            for one in self.strips.scenes
         ]
         # Half precision does for a few per cent of noise, once the largest number is 1.
         size = np.max(np.abs(images), axis=(2, 3)) + 1e-300

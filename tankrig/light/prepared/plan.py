@@ -1,7 +1,7 @@
 """Which images a prepared model is made from."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -43,6 +43,8 @@ CHECKS, CHECKS_SHARE = 6, 1 / 3
 """Media beside the grid at most, and in media of the grid."""
 TOGETHER = 16
 """Media at most whose orders 1 and 2 are computed at once: more save little, and are lost where it is interrupted."""
+FIRST = 0.25
+"""Share of a medium's lattices that a first model follows where light or sight slant (decision 211)."""
 USUAL_TOLERANCE = 0.01
 SPREAD = (0.7548776662466927, 0.5698402909980532)
 """Steps of the additive sequence that fills a square most evenly (powers of the plastic number's inverse)."""
@@ -85,12 +87,15 @@ class PreparationPlan:
         Relative L2 error to aim for; the number of paths goes with its inverse square.
     slanted
         Whether light or sight slant.
+    first
+        Whether it is of a first model, which follows a share of the paths: the polynomials are the same.
     """
 
     box: Box
     length_mm: float
     tolerance: float
     slanted: bool = False
+    first: bool = False
 
     @cached_property
     def coordinates(self) -> Coordinates:
@@ -184,8 +189,18 @@ class PreparationPlan:
             if not self.slanted:  # there marks cost as much as ever, and whole boxes took minutes
                 noisy += depth**2 * (0.006 + 0.08 * forward**16)
             batches = max(1, round(effort * noisy))
-            samples.append(Sample(sample.index, sample.sigma_t, sample.g, sample.place, batches))
+            samples.append(replace(sample, batches=self._first_of(batches) if self.first else batches))
         return samples
+
+    def lattices(self, sample: Sample) -> list[range]:
+        """Numbers of a medium's lattices: those of a first model, and those that the whole one follows besides."""
+        first = sample.batches if self.first else self._first_of(sample.batches)
+        return [part for part in (range(first), range(first, sample.batches)) if part]
+
+    def _first_of(self, batches: int) -> int:
+        """As many of a medium's lattices as a first model follows; all where light and sight run straight, since there
+        models take seconds."""
+        return math.ceil(FIRST * batches) if self.slanted else batches
 
     def _sample(self, index: int, place: tuple[float, float]) -> Sample:
         sigma_t, _, g = self.coordinates.back([place[0], 0.0, place[1]])

@@ -40,9 +40,12 @@ def place_of(scene: Scene, box: Box, tolerance: float) -> Place:
 
 
 def prepared(
-    scene: Scene, box: Box, tolerance: float, progress: Progress, threads: int = THREADS
-) -> tuple[Answer, Path]:
+    scene: Scene, box: Box, tolerance: float, progress: Progress, threads: int = THREADS, first: bool = False
+) -> tuple[Answer, Path | None]:
     """The model of a scene's geometry and pattern, from the cache or made now, and the file that keeps it.
+
+    A first model, by a share of its light paths, has no such file: the whole one goes on with these paths. Where that
+    saves little it is the whole one.
 
     Raises
     ------
@@ -64,13 +67,15 @@ def prepared(
             "bin them: give camera.bin, the pixels along the side of a bin"
         )
     place = place_of(scene, box, tolerance)
-    plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance, not shift_invariant(scene))
+    entrance = Entrance.known_to(scene, box, tolerance)
+    slanted = not shift_invariant(scene)
+    first = first and slanted and entrance is None
+    plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance, slanted, first)
     sampling = PathImages(scene, plan.albedos)
     known = _kept_answer(place, plan, scene.camera.shape, math.prod(sampling.shape[1:]))
     if known is not None:
         progress(1.0)
         return known, place.model
-    entrance = Entrance.known_to(scene, box, tolerance)
     work = _Work(sampling, plan, place, entrance, LowOrders.kept_for(scene, box, tolerance))
     place.require_room(work.size)
     unlike = Entrance.unlike(scene, box, tolerance)
@@ -78,10 +83,11 @@ def prepared(
         warnings.warn(unlike, stacklevel=3)
     with one_blas_thread():
         answer = assemble(plan, sampling, work.images(progress, threads), scene.camera.shape)
-    place.keep(place.model, packed(answer))
-    place.clear_parts()
+    if not first:
+        place.keep(place.model, packed(answer))
+        place.clear_parts()
     progress(1.0)
-    return answer, place.model
+    return answer, None if first else place.model
 
 
 def _kept_answer(place: Place, plan: PreparationPlan, shape: tuple[int, int], cells: int) -> Answer | None:
@@ -97,16 +103,17 @@ def _kept_answer(place: Place, plan: PreparationPlan, shape: tuple[int, int], ce
 
 @dataclass(frozen=True)
 class _Job:
-    """One file of the preparation."""
+    """One file of the preparation: of light paths, one medium's lattices of some numbers."""
 
     kind: str
     samples: tuple[Sample, ...]
     cost: float
+    lattices: range = range(0)
 
     @property
     def name(self) -> str:
         """Of the file."""
-        return f"{self.kind}{self.samples[0].index}"
+        return f"{self.kind}{self.samples[0].index}" + (f"from{self.lattices.start}" if self.lattices else "")
 
 
 class _Work:
@@ -125,7 +132,11 @@ class _Work:
         # What takes longest comes first, so that no core is left with it at the end.
         self._jobs = sorted(
             [_Job("exact", part, (EXACT_COST if low is None else 0.0) * len(part)) for part in plan.together]
-            + [_Job("paths", (sample,), sample.batches) for sample in (() if entrance else plan.paths)],
+            + [
+                _Job("paths", (sample,), len(lattices), lattices)
+                for sample in (() if entrance else plan.paths)
+                for lattices in plan.lattices(sample)
+            ],
             key=lambda job: -job.cost,
         )
 
@@ -140,23 +151,28 @@ class _Work:
     def images(self, progress: Progress, threads: int) -> Images:
         """Compute, or read, all."""
         total, done = sum(job.cost for job in self._jobs), 0.0
-        found: dict[str, dict[int, NDArray[np.floating]]] = {"exact": {}, "paths": {}}
+        exact: dict[int, NDArray[np.floating]] = {}
+        paths = np.zeros((len(self._plan.paths), *self._sampling.shape))
         pool = ThreadPoolExecutor(threads)
         try:
             running = {pool.submit(self._images, job): job for job in self._jobs}
             for future in as_completed(running):
-                job = running[future]
-                found[job.kind] |= {one.index: image for one, image in zip(job.samples, future.result(), strict=True)}
+                job, images = running[future], future.result()
+                if job.lattices:
+                    (one,) = job.samples
+                    paths[one.index] += len(job.lattices) / one.batches * images[0].astype(float)
+                else:
+                    exact |= {one.index: image for one, image in zip(job.samples, images, strict=True)}
                 done += job.cost
                 progress(0.97 * done / total)
         finally:
             pool.shutdown(cancel_futures=True)
         if self._entrance is not None:
-            found["paths"] = dict(self._entrance.images(self._sampling, self._plan.paths))
-        stacks = {kind: np.array([images[index] for index in sorted(images)]) for kind, images in found.items()}
+            for index, image in self._entrance.images(self._sampling, self._plan.paths):
+                paths[index] = image
         share = MOVED if self._entrance is not None else 0.0
-        grid, checks = np.split(stacks["exact"], [len(self._plan.exact)])
-        return Images(grid, checks, stacks["paths"], share, None if self._low is None else self._low.off)
+        grid, checks = np.split(np.array([exact[index] for index in sorted(exact)]), [len(self._plan.exact)])
+        return Images(grid, checks, paths, share, None if self._low is None else self._low.off)
 
     def _images(self, job: _Job) -> NDArray[np.floating]:
         """Of each of a job's media."""
@@ -164,15 +180,14 @@ class _Work:
         if job.kind == "exact" and self._low is not None:
             return self._low.images(liquids)
         path = self._place.parts / f"{job.name}.npz"
-        paths = job.kind == "paths"
-        shape = (len(job.samples), *(self._sampling.shape if paths else (2, self._pixels)))
+        shape = (len(job.samples), *(self._sampling.shape if job.lattices else (2, self._pixels)))
         known = (self._place.kept(path) or {}).get("images")
         if known is not None and known.shape == shape and known.dtype.kind == "f":
             return known.astype(float)
         images: NDArray[np.floating]
-        if paths:
+        if job.lattices:
             (one,) = job.samples
-            images = self._sampling.sample(Medium(0.0, one.sigma_t, one.g), one.index, one.batches)[None]
+            images = self._sampling.sample(Medium(0.0, one.sigma_t, one.g), one.index, job.lattices)[None]
             images = images.astype(np.float32)
         else:
             tables = self._entrance.tables(job.samples) if self._entrance is not None else []

@@ -166,22 +166,23 @@ class PathImages:
         """Of what `sample` gives: albedos, rows, degrees in x."""
         return len(self.albedos), self.grid.rows, self.along.shape[1]
 
-    def sample(self, medium: Medium, seed: int, batches: int) -> Array:
-        """Mean image of several shifted lattices of paths by albedo, in rows of cells and polynomials along x.
+    def sample(self, medium: Medium, seed: int, lattices: range) -> Array:
+        """Mean image of shifted lattices of paths by albedo, in rows of cells and polynomials along x.
 
-        Orders ≥ 3, what walls send back, and order 2 of smooth light. Of the medium σt and the phase function matter.
+        Orders ≥ 3, what walls send back, and order 2 of smooth light. Of the medium σt and the phase function matter;
+        of the lattices their numbers are given, by which they are shifted.
         """
-        return self.beyond_two(medium, seed, batches) + self.twice_smooth(medium, seed, batches)
+        return self.beyond_two(medium, seed, lattices) + self.twice_smooth(medium, seed, lattices)
 
-    def beyond_two(self, medium: Medium, seed: int, batches: int) -> Array:
+    def beyond_two(self, medium: Medium, seed: int, lattices: range) -> Array:
         """The same without order 2 of smooth light."""
         lit = replace(self.lit, medium=replace(medium, sigma_a=0.0, sigma_s=medium.sigma_t))
-        images = self._traced(lit, seed, batches)
+        images = self._traced(lit, seed, lattices)
         if not lit.tank.faces.dark:
-            images = images + self._by_walls(lit, seed + self._own, batches) @ self.along
+            images = images + self._by_walls(lit, seed + self._own, lattices) @ self.along
         return self._even(images)
 
-    def twice_smooth(self, medium: Medium, seed: int, batches: int) -> Array:
+    def twice_smooth(self, medium: Medium, seed: int, lattices: range) -> Array:
         """Order 2 of light that is smooth as it enters, in the same way; 0 where there is none.
 
         Tables of it, which light beams so wide at any height want, take many times what those of a pattern do.
@@ -189,27 +190,27 @@ class PathImages:
         if self._smooth is None:
             return np.zeros(self.shape)
         lit = replace(self._smooth, medium=replace(medium, sigma_a=0.0, sigma_s=medium.sigma_t))
-        return self._even(self._traced(lit, seed, batches, (2, 2)))
+        return self._even(self._traced(lit, seed, lattices, (2, 2)))
 
     def _even(self, images: Array) -> Array:
         return np.asarray(0.5 * (images + images[:, ::-1]) if self.grid.symmetric else images)
 
-    def _traced(self, lit: Scene, seed: int, batches: int, orders: tuple[int, int] = (3, HIGHEST_ORDER)) -> Array:
+    def _traced(self, lit: Scene, seed: int, lattices: range, orders: tuple[int, int] = (3, HIGHEST_ORDER)) -> Array:
         """Mean of light paths' lattices, of the orders from one to another."""
         beams = [beam for beam in lit.projector.beams if beam.irradiance > 0.0]
         traced = self._traced_rectangles if self.grid.shiftable else self._traced_points
-        return np.asarray(traced(lit, beams, seed + self._own, batches, orders) @ self.along / batches)
+        return np.asarray(traced(lit, beams, seed + self._own, lattices, orders) @ self.along / len(lattices))
 
-    def _by_walls(self, lit: Scene, seed: int, batches: int) -> Array:
+    def _by_walls(self, lit: Scene, seed: int, lattices: range) -> Array:
         """Mean over lattices of what walls and floor send back, in all orders but 1 by way of clear faces."""
         from tankrig.light.walls.paths import LATTICES, wall_images
 
         bins = np.concatenate([[0, 1], self._bins[2:] + 2])
-        lattices = LATTICES if self.grid.shiftable else SLANTED_LATTICES
+        each = LATTICES if self.grid.shiftable else SLANTED_LATTICES
         images = np.mean(
             [
-                wall_images(lit, self.grid, (seed, batch), bins, HIGHEST_ORDER, FAINTEST_BY_WALLS, lattices)
-                for batch in range(batches)
+                wall_images(lit, self.grid, (seed, lattice), bins, HIGHEST_ORDER, FAINTEST_BY_WALLS, each)
+                for lattice in lattices
             ],
             axis=0,
         )
@@ -217,29 +218,31 @@ class PathImages:
         return np.tensordot(np.concatenate([low, self._shares], axis=1), images[: 2 + self._shares.shape[1]], 1)
 
     def _traced_rectangles(
-        self, lit: Scene, beams: list[Beam], seed: int, batches: int, orders: tuple[int, int]
+        self, lit: Scene, beams: list[Beam], seed: int, lattices: range, orders: tuple[int, int]
     ) -> Array:
         """Sum over lattices where one path stands for every start on beams of one height."""
         total = np.zeros((len(self.albedos), self.grid.rows, self.grid.columns))
         transmission = sight_line(geometry_of(lit), 0.0, 0.0)[3]
         for z_mm in sorted({beam.z_mm for beam in beams}):
             edges = np.zeros((len(self._firsts) - 1, 2, self.grid.rows + 2, self.grid.columns + 2))
-            self._trace(lit, [beam for beam in beams if beam.z_mm == z_mm], seed, batches, orders, edges)
+            self._trace(lit, [beam for beam in beams if beam.z_mm == z_mm], seed, lattices, orders, edges)
             by_albedo = np.tensordot(self._shares, edges, 1)  # before edges become images: they are many more
             image = image_of_edges(by_albedo, lit.medium.sigma_t, self.grid.cell_mm[0])
             total += image * (transmission * (z_mm[1] - z_mm[0]) / LARGE.points)
         return total
 
-    def _traced_points(self, lit: Scene, beams: list[Beam], seed: int, batches: int, orders: tuple[int, int]) -> Array:
+    def _traced_points(
+        self, lit: Scene, beams: list[Beam], seed: int, lattices: range, orders: tuple[int, int]
+    ) -> Array:
         """Sum over lattices of paths that are seen where they are."""
         cells = np.zeros((len(self._firsts) - 1, self.grid.rows, self.grid.columns))
-        self._trace(lit, beams, seed, batches, orders, cells)
+        self._trace(lit, beams, seed, lattices, orders, cells)
         power = sum(beam.power for beam in beams)
         area = self.grid.cell_mm[0] * self.grid.cell_mm[1]
         return cell_averages(np.tensordot(self._shares, cells, 1) * (power / (LARGE.points * area)))
 
     def _trace(
-        self, lit: Scene, beams: list[Beam], seed: int, batches: int, orders: tuple[int, int], light: Array
+        self, lit: Scene, beams: list[Beam], seed: int, lattices: range, orders: tuple[int, int], light: Array
     ) -> None:
         """Follow lattices of paths and add them to what `trace` fills."""
         medium, power = lit.medium, np.array([beam.power for beam in beams])
@@ -253,8 +256,8 @@ class PathImages:
         lowest, highest = orders
         limits = PathLimits(highest, FAINTEST, thinning, turns, faintest_mark, lowest)
         geometry, water = geometry_of(lit), water_for_paths(medium)._replace(albedo=1.0)
-        for batch in range(batches):
-            points = Points(LARGE.shifted((seed, batch)), LARGE.points)
+        for lattice in lattices:
+            points = Points(LARGE.shifted((seed, lattice)), LARGE.points)
             trace(light, self._bins, self.grid.cell_mm, geometry, water, table, points, limits)
 
     def to_pixels(self, patterns: Array) -> Array:

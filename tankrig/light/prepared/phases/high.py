@@ -96,7 +96,7 @@ class HighAnswer:
         lit = Medium(0.0, near.sigma_t, phase=near.phase_function)
         degree = len(self.sampling.albedos) - 1
         between = values(float(place[1]), degree) @ np.linalg.inv(values(nodes(degree + 1), degree))
-        cells = np.tensordot(between, self.sampling.beyond_two(lit, UNFOLLOWED + seed, 1), 1)
+        cells = np.tensordot(between, self.sampling.beyond_two(lit, UNFOLLOWED + seed, range(1)), 1)
         return np.asarray(self.sampling.to_pixels(cells[None])[0])
 
     @property
@@ -160,7 +160,7 @@ def _followed(plan: PhasePlan, sampling: PathImages, progress: Progress, threads
     def one(index: int) -> int:
         sample = plan.paths[index]
         medium = Medium(0.0, sample.sigma_t, phase=sample.phase)
-        images[index] = sampling.beyond_two(medium, index, sample.batches)
+        images[index] = sampling.beyond_two(medium, index, range(sample.batches))
         return sample.batches
 
     pool = ThreadPoolExecutor(threads)

@@ -116,7 +116,7 @@ def _paths_of(sample: PhaseSample, place: Place, sampling: PathImages) -> NDArra
         return np.asarray(known, np.float32)
     medium = Medium(0.0, sample.sigma_t, phase=sample.phase)
     image = np.array(
-        [sampling.sample(medium, 2 * sample.index + half, sample.batches) for half in range(2)], np.float32
+        [sampling.sample(medium, 2 * sample.index + half, range(sample.batches)) for half in range(2)], np.float32
     )
     place.keep(path, {"image": image})
     return image
