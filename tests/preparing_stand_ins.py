@@ -46,9 +46,9 @@ class Boxes(Ready):
         self.wanted: list[Box] = []
         self.ready: set[Box] = set()
 
-    def want(self, scenes: list[Scene], box: Box) -> None:
-        assert list(scenes)
-        self.wanted = [box, *(one for one in self.wanted if one != box)]
+    def want(self, wanted: list[tuple[tuple[Scene, ...], Box]]) -> None:
+        assert all(scenes for scenes, _ in wanted)
+        self.wanted = list(dict.fromkeys(box for _, box in wanted))
 
     def models(self, scenes: list[Scene], box: Box) -> list[Model] | None:
         return [Model(box)] * len(scenes) if box in self.ready else None

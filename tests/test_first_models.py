@@ -21,7 +21,7 @@ SCENE = Scene(
     Camera("pinhole", (16, 24), 5.0, (60.0, 0.0, 500.0)),
 )  # fmt: skip
 BOX = box_for(SCENE.medium)
-OTHER = box_for(Medium(0.0004, 0.02, 0.45))
+OTHER, THIRD = (box_for(Medium(0.0004, sigma_s, 0.45)) for sigma_s in (0.02, 0.04))
 
 
 @pytest.fixture
@@ -95,21 +95,19 @@ def test_first_models_of_all_that_is_wanted_come_before_whole_ones(monkeypatch: 
     monkeypatch.setattr(preparing_module, "unlike_learned", lambda *_: "")
     told = queue.Queue[str]()
     preparing = Preparing(told.put, first=True)
-    preparing.want([SCENE], LOOK)
-    preparing.want([SCENE], BOX)
+    preparing.want([([SCENE], BOX), ([SCENE], LOOK)])
 
     def next_made() -> tuple[Box, bool, str]:
         go_on.put(None)
         return made.get(timeout=10.0)
 
-    while (one := next_made()) != (BOX, True, "made"):  # the look may have been begun before the box was wanted
-        assert one == (LOOK, False, "let go")
+    assert next_made() == (BOX, True, "made")
     told.get(timeout=10.0)
     assert preparing.models([SCENE], BOX) is None
     assert preparing.model_so_far(SCENE, BOX) == (BOX, True)
     assert next_made() == (LOOK, False, "made")
     told.get(timeout=10.0)
-    preparing.want([SCENE], OTHER)
+    preparing.want([([SCENE], OTHER), ([SCENE], BOX)])
     while (one := next_made()) != (OTHER, True, "made"):
         assert one == (BOX, False, "let go")
     assert {next_made() for _ in range(2)} == {(BOX, False, "made"), (OTHER, False, "made")}
@@ -118,6 +116,9 @@ def test_first_models_of_all_that_is_wanted_come_before_whole_ones(monkeypatch: 
     assert preparing.models([SCENE], BOX) == [(BOX, False)]
     assert preparing.model_so_far(SCENE, BOX) == (BOX, False)
     assert preparing.left.models == 0
+    preparing.want([([SCENE], THIRD)])
+    preparing.want([])
+    assert preparing.left.models == 0, "nobody wants it any more"
     preparing.close()
 
 

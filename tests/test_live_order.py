@@ -190,13 +190,14 @@ def test_a_first_look_tells_which_models_the_first_dose_needs(monkeypatch: pytes
 
 def test_models_are_prepared_by_a_picture_of_ink_that_still_mixes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ink mixes for minutes, in which nothing was prepared as there was no frame: the first fit came later."""
-    looked = Medium(0.0003, 0.009, 0.5)
+    looked, uneven, mixed = Medium(0.0003, 0.009, 0.5), Medium(0.0003, 0.009, 0.9), Medium(0.0003, 0.018, 0.6)
     images: list[np.ndarray] = []
 
     def fit(photographs: list[Photograph], *_: object, **__: object) -> DoseFit:
         (one,) = photographs
         images.append(one.image)
-        return DoseFit(one.dose_ml, looked, model="prepared")
+        liquid, structure = [(looked, None), (uneven, 0.04), (mixed, None)][len(images) - 1]
+        return DoseFit(one.dose_ml, liquid, model="prepared", structure=structure)
 
     monkeypatch.setattr(next_fit, "fit_dose_prepared", fit)
     boxes, exposures = Boxes(), Exposures(plan())
@@ -208,12 +209,18 @@ def test_models_are_prepared_by_a_picture_of_ink_that_still_mixes(monkeypatch: p
     assert fitter.next(exposures, last=False) is None
     assert boxes.wanted == [LOOK]
     assert exposures.watch(PATTERNS["sheet"], np.full((40, 60), 500, np.uint16), conditions)
-    assert not exposures.watch(PATTERNS["sheet"], np.full((40, 60), 600, np.uint16), conditions)  # nothing to wake for
+    assert not exposures.watch(PATTERNS["sheet"], np.full((40, 60), 505, np.uint16), conditions)  # nothing to wake for
     for _ in range(2):
         assert fitter.next(exposures, last=False) is None
         assert not fitter.waiting  # a run that ends here has nothing to wait for
-    assert [float(image[0, 0]) for image in images] == [60.0]  # the newest, once; counts per ms
-    assert set(boxes.wanted[:2]) == {box_for(looked), box_for(diluted(looked, 0.1, 0.2))}
+    assert [float(image[0, 0]) for image in images] == [50.5]  # the newest, once; counts per ms
+    assert boxes.wanted == [LOOK, box_for(looked), box_for(diluted(looked, 0.1, 0.2))]
+    for counts in (550, 600):  # ink has mixed further, and of the first picture a look explains too little
+        assert exposures.watch(PATTERNS["sheet"], np.full((40, 60), counts, np.uint16), conditions)
+        assert fitter.next(exposures, last=False) is None
+        assert boxes.wanted[1] == box_for(looked if counts == 550 else mixed)
+    assert [float(image[0, 0]) for image in images] == [50.5, 55.0, 60.0]
+    assert boxes.wanted == [LOOK, box_for(mixed), box_for(diluted(mixed, 0.1, 0.2))], "others are wanted no more"
     exposures.take(frame(PATTERNS["sheet"], 2), np.full((40, 60), 700, np.uint16))
     assert exposures.while_mixing is None
     assert exposures.photographs()[0].frames == 1

@@ -39,7 +39,7 @@ def test_the_time_that_models_still_take_is_told_by_those_that_are_done(monkeypa
         replace(scene, medium=Medium(0.0, 0.01 * (1 + k), 0.5))
         for k, scene in enumerate([plan().scenes[PATTERNS["sheet"].hash]] * 3)
     ]
-    preparing.want(scenes, box_for(LIQUID))
+    preparing.want([(scenes, box_for(LIQUID))])
     go_on.put(0.0)
     told.get(timeout=10)
     assert preparing.left == Preparation(3, None)  # nothing tells yet
@@ -69,7 +69,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Prepared]
         done = threading.Event()
         preparing = Preparing(lambda _: done.set())
         box = preparing.box(LIQUID)
-        preparing.want([scene], box)
+        preparing.want([([scene], box)])
         assert done.wait(120.0)
         models = preparing.models([scene], box)
         preparing.close()

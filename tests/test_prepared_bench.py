@@ -227,7 +227,7 @@ def test_a_run_says_why_a_learned_bench_does_not_serve(folder: Path, monkeypatch
     monkeypatch.setattr(preparing, "prepare", prepare)
     monkeypatch.setattr(preparing, "tolerance_for", lambda *_: TOLERANCE)
     run = Preparing()
-    run.want([lower], BOX)
+    run.want([([lower], BOX)])
     assert told.wait(10.0)
     said = preparation_in_words(run.left)
     go_on.set()

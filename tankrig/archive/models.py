@@ -42,7 +42,7 @@ class ModelsOnDemand(Preparing):
         boxes = {box: None for _, box in self._used if box != LOOK}
         return next((box for box in boxes if holds(box, liquid)), box_for(liquid))
 
-    def want(self, scenes: Iterable[Scene], box: Box) -> None:
+    def want(self, wanted: Iterable[tuple[Iterable[Scene], Box]]) -> None:
         """Nothing is prepared before it is asked for."""
 
     def models(self, scenes: Iterable[Scene], box: Box) -> list[Prepared] | None:

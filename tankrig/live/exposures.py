@@ -28,6 +28,8 @@ UNSETTLED = 0.01
 UNSETTLED_SIGMAS = 6.0
 BLOCKS = 16
 """Along the longer side of a frame, whose means are compared: noise is small in them, and what has not mixed is not."""
+MIXES = 0.03
+"""Share of a picture of ink that mixes, relative L2, by which another one differs that is looked at anew."""
 SAME_ML = 1e-6
 """Volumes that differ by no more are one dose: a nanolitre is less than any doser tells apart."""
 
@@ -70,6 +72,18 @@ class Photograph:
         return np.ones(self.image.shape, bool) if self.mask is None else ~self.mask
 
 
+def has_changed(image: NDArray[np.floating], before: NDArray[np.floating]) -> bool:
+    """Whether ink that mixes looks otherwise than before, by more than noise of a picture.
+
+    Examples
+    --------
+    >>> one = np.ones((2, 3))
+    >>> has_changed(1.1 * one, one), has_changed(1.001 * one, one)
+    (True, False)
+    """
+    return bool(np.linalg.norm(image - before) > MIXES * np.linalg.norm(image))
+
+
 class Exposures:
     """Sums of frames by dose and pattern, each frame at the dose and with the exposure that were true of it.
 
@@ -96,6 +110,7 @@ class Exposures:
         # Of ink that has nearly mixed: ml, their standard deviation, the pattern's number and one; the picture itself,
         # and its bins that are not saturated.
         self._mixing_image, self._mixing_below = (one.reshape(plan.camera.shape) for one in mixing)
+        self._mixing_told = np.zeros(plan.camera.shape)
         self._index = {key: index for index, key in enumerate(plan.patterns)}
         self._lit = list(plan.scenes)
         self._conditions = JournalFollower()
@@ -177,7 +192,7 @@ class Exposures:
         return False
 
     def watch(self, pattern: Pattern, pixels: Pixels, conditions: Conditions) -> bool:
-        """Keep a picture of ink that has nearly mixed in place of the one before; whether it is the first of a dose.
+        """Keep a picture of ink that has nearly mixed in place of the one before; whether it shows anything new.
 
         Parameters
         ----------
@@ -197,7 +212,10 @@ class Exposures:
         first = first or abs(float(self._mixing[0]) - dose_ml) > SAME_ML
         self._mixing[:] = dose_ml, self._sd_ml(tank), 1.0 + self._index[pattern.hash]
         self._mixing_image[:], self._mixing_below[:] = self.plan.binned(pixels, settings)
-        return first
+        new = first or has_changed(self._mixing_image, self._mixing_told)
+        if new:
+            self._mixing_told = self._mixing_image.copy()
+        return new
 
     @property
     def while_mixing(self) -> Photograph | None:

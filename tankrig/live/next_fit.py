@@ -1,24 +1,37 @@
 """Which fit comes next: the newest dose first, by models that are prepared for it, then the series of what is over."""
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tankrig.errors import TankrigError
+from tankrig.light.prepared.about import holds
 from tankrig.light.prepared.box import Box
-from tankrig.live.exposures import Exposures, Photograph
+from tankrig.live.exposures import Exposures, Photograph, has_changed
 from tankrig.live.fits import fit_all, fit_dose, fit_dose_prepared, with_single
 from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import LOOK, LOOK_START, Preparing, foreseen, phases_prepared
 from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit, diluted
 from tankrig.live.sheets_so_far import SheetsSoFar
-from tankrig.scene.description import Medium
+from tankrig.scene.description import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
 
 QUIET_S = 0.3
 """Without new frames for so long, what takes longer is done too: single scattering for comparison, and the series."""
 ANOTHER_DOSE = -1
 """Newest frame of a fit that is not of the newest."""
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """Models that a dose is to have: of scenes, for a box. Those of a first look are no dose's."""
+
+    dose_ml: float | None
+    scenes: tuple[Scene, ...]
+    box: Box
 
 
 class Fitter:
@@ -63,7 +76,7 @@ class Fitter:
         self._liquid: dict[float, Medium] = {}
         self._looked: dict[float, DoseFit | None] = {}
         self._told: set[float] = set()
-        self._ahead: set[float] = set()
+        self._ahead: dict[float, NDArray[np.floating]] = {}
         self._latest: tuple[Medium, float] | None = None
         self._in_series = 0
         self._series: SeriesFit | None = None
@@ -74,6 +87,7 @@ class Fitter:
         self.waiting = False
         self._awaited = False
         self._awaited_in: tuple[Box, Medium] = LOOK, LOOK_START
+        self._asked: list[_Asked] = []
         for fit in earlier:
             if isinstance(fit, DoseFit):
                 self._fitted[fit.dose_ml] = 0 if fit.rough else fit.frames + fit.left_out
@@ -260,12 +274,13 @@ class Fitter:
         return fit
 
     def _look_to_tell(self, photographs: list[Photograph]) -> DoseFit | None:
-        """What a first look says of a dose whose models are being prepared, once; None where there is none to tell.
+        """What a first look says of a dose whose models are being prepared, once; None where there is none to tell, or
+        another dose tells better what to expect.
 
         A person sees about what it is, with the look's own error in the errors; the journal waits for the fit.
         """
         dose_ml = photographs[0].dose_ml
-        if self._preparing is None or dose_ml in self._told or dose_ml in self._liquid:
+        if self._preparing is None or dose_ml in self._told or self._latest is not None:
             return None
         models = self._preparing.models([photographs[0].scene], LOOK)
         if models is None:
@@ -289,7 +304,9 @@ class Fitter:
             self._awaited = self._preparing.under_way(scenes, box)
             if self._awaited:
                 self._awaited_in = box, start
-                self._preparing.want(scenes, box)
+                others = () if self._plan is None or box == LOOK else self._plan.scenes.values()
+                every = tuple(dict.fromkeys((*scenes, *others)))
+                self._await(_Asked(None if box == LOOK else photographs[0].dose_ml, every, box))
             return None
         found = fit_dose_prepared(photographs, models, start, self._phase, quick=True)
         if found is not None and box != LOOK:
@@ -300,24 +317,42 @@ class Fitter:
         """Have models prepared before there is anything to fit: for the ink expected, and for a first look."""
         if self._preparing is None or self._plan is None:
             return
-        wanted = foreseen(list(self._plan.scenes.values()), self._plan.doses_ml, self._plan.ink)
-        for scenes, box in reversed(wanted):  # what is wanted last comes first
-            self._preparing.want(scenes, box)
+        scenes, doses_ml, ink = list(self._plan.scenes.values()), self._plan.doses_ml, self._plan.ink
+        asked = []
+        for some, box in foreseen(scenes, doses_ml, ink):
+            held = (one for one in doses_ml if ink is not None and holds(box, diluted(ink, 1.0, one)))
+            asked.append(_Asked(None if box == LOOK else next(held), tuple(some), box))
+        self._ask(asked)
+
+    def _ask(self, asked: Sequence[_Asked], at_once: bool = True) -> None:
+        """Have models prepared next, or after all others, the most wanted first. What else their doses were to have is
+        wanted no more: each look at ink that mixes, and each dose, foresees the following ones a little better."""
+        assert self._preparing is not None
+        doses = [one.dose_ml for one in asked]
+        others = [one for one in self._asked if one.dose_ml not in doses]
+        self._asked = [*asked, *others] if at_once else [*others, *asked]
+        self._preparing.want([(one.scenes, one.box) for one in self._asked])
+
+    def _await(self, wanted: _Asked) -> None:
+        """Have models of a dose, or of a look, prepared in their turn; next, where they have not been asked for."""
+        known = next((one for one in self._asked if (one.dose_ml, one.box) == (wanted.dose_ml, wanted.box)), None)
+        if known is None or not set(wanted.scenes) <= set(known.scenes):
+            self._ask([wanted])
 
     def _keep(self, fit: DoseFit) -> None:
         """Remember what a dose is, and have models prepared for it and for all that are to follow."""
         self._liquid[fit.dose_ml], self._latest = fit.medium, (fit.medium, fit.dose_ml)
         self._prepare_from(fit)
 
-    def _prepare_from(self, fit: DoseFit) -> None:
-        """Have models prepared for a dose as it was found, and for all that are to follow."""
+    def _prepare_from(self, fit: DoseFit, at_once: bool = True) -> None:
+        """Have models prepared for a dose as it was found, and for all that are to follow; next, or in their turn."""
         if self._preparing is None or self._plan is None:
             return
-        scenes = list(self._plan.scenes.values())
+        scenes = tuple(self._plan.scenes.values())
         following = sorted({one for one in self._plan.doses_ml if one > 1.001 * fit.dose_ml})
-        for dose_ml in reversed(following):  # what is wanted last comes first
-            self._preparing.want(scenes, self._preparing.box(diluted(fit.medium, fit.dose_ml, dose_ml)))
-        self._preparing.want(scenes, self._box_of(fit.dose_ml, fit.medium))
+        boxes = {one: self._preparing.box(diluted(fit.medium, fit.dose_ml, one)) for one in following}
+        boxes = {fit.dose_ml: self._box_of(fit.dose_ml, fit.medium)} | boxes
+        self._ask([_Asked(dose_ml, scenes, box) for dose_ml, box in boxes.items()], at_once)
 
     def _box_of(self, dose_ml: float, liquid: Medium) -> Box:
         """The box that a dose was fitted in, as long as that holds its liquid; else one that holds it well inside.
@@ -332,10 +367,15 @@ class Fitter:
     def _look_ahead(self, exposures: Exposures) -> None:
         """Have models prepared by a first look at ink that still mixes: it has minutes for that, frames have seconds.
 
-        The dose's own frames are looked at anew, and where the ink was taken for another, its models come first.
+        Where ink is still so uneven that the look cannot explain the picture nothing is prepared: a bench's ink of
+        g .61, of which a tenth had not mixed, passed for one of .45 to .91. It is looked at anew as it changes, and so
+        are the dose's own frames.
         """
         photograph = exposures.while_mixing
-        if photograph is None or photograph.dose_ml in self._ahead:
+        if photograph is None:
+            return
+        before = self._ahead.get(photograph.dose_ml)
+        if before is not None and not has_changed(photograph.image, before):
             return
         self._awaited = False
         try:
@@ -343,9 +383,9 @@ class Fitter:
         except TankrigError:
             look = None
         if not self._awaited:
-            self._ahead.add(photograph.dose_ml)
-            if look is not None:
-                self._prepare_from(look)
+            self._ahead[photograph.dose_ml] = photograph.image
+            if look is not None and look.structure is None:
+                self._prepare_from(look, at_once=False)
 
     def _start(self, dose_ml: float) -> Medium | None:
         """Where to begin: the dose's own last fit, what the series foresees, another dose's liquid, diluted, or the ink
@@ -378,7 +418,7 @@ class Fitter:
             scenes = [one.scene for one in photographs if one.dose_ml == dose_ml]
             box = self._box_of(dose_ml, liquid)
             if self._preparing.models(scenes, box) is None and self._preparing.under_way(scenes, box):
-                self._preparing.want(scenes, box)
+                self._await(_Asked(dose_ml, tuple(scenes), box))
                 awaited = True
         return awaited
 

@@ -180,16 +180,16 @@ class Preparing:
             boxes = {box: None for _, box in (*self._models, *self._waiting) if box != LOOK}
         return next((box for box in boxes if holds(box, liquid)), box_for(liquid))
 
-    def want(self, scenes: Iterable[Scene], box: Box) -> None:
-        """Prepare models of scenes next, in their order, where they are not ready; returns at once."""
-        wanted = [(scene, box) for scene in scenes]
-        long = {one for one in wanted if self._with_first and takes_long(*one, self._phases)}
+    def want(self, wanted: Iterable[tuple[Iterable[Scene], Box]]) -> None:
+        """Prepare models of scenes for boxes, in this order, where they are not ready, and nothing else.
+
+        Returns at once. What was wanted before and is not any more is left where it is: later calls go on with it.
+        """
+        every = dict.fromkeys((scene, box) for scenes, box in wanted for scene in scenes)
+        long = {one for one in every if self._with_first and takes_long(*one, self._phases)}
         with self._change:
             self._two_stages |= long
-            self._waiting = [
-                *(one for one in wanted if one not in self._models and one not in self._refused),
-                *(one for one in self._waiting if one not in wanted),
-            ]
+            self._waiting = [one for one in every if one not in self._models and one not in self._refused]
             self._change.notify_all()
 
     def models(self, scenes: Iterable[Scene], box: Box) -> list[Prepared] | None:

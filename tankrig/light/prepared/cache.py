@@ -8,7 +8,7 @@ import errno
 import hashlib
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -129,6 +129,22 @@ class Place:
         except (OSError, ValueError):
             return None
         return arrays if str(arrays.pop("mark", "")) == self._mark else None
+
+    def part(self, name: str, shape: tuple[int, ...], make: Callable[[], NDArray[np.floating]]) -> Array:
+        """Images that the model is made from, of a shape: those that an interrupted preparation has left, or made now.
+
+        Raises
+        ------
+        CacheError
+            When they cannot be written.
+        """
+        path = self.parts / f"{name}.npz"
+        known = (self.kept(path) or {}).get("images")
+        if known is not None and known.shape == shape and known.dtype.kind == "f":
+            return known.astype(float)
+        images = make()
+        self.keep(path, {"images": images})
+        return images.astype(float)
 
     def clear_parts(self) -> None:
         """Remove what the model was made from."""

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -207,22 +206,14 @@ class _Work:
         return replace(found, off=(off / np.maximum(np.linalg.norm(truth, axis=1), DARK)[:, None]).astype(np.float32))
 
     def _first(self, samples: Sequence[Sample]) -> Array:
-        return self._kept_or("first", samples, lambda: first_images(self._scene, _liquids(samples)))
+        shape = (len(samples), self._pixels)
+        return self.place.part("first", shape, lambda: first_images(self._scene, _liquids(samples)))
 
     def _second(self, number: int, samples: Sequence[Sample]) -> Array:
-        return self._kept_or(
-            f"second{number}", samples, lambda: second_images(self._scene, _liquids(samples), TOLERANCE)
+        shape = (len(samples), self._pixels)
+        return self.place.part(
+            f"second{number}", shape, lambda: second_images(self._scene, _liquids(samples), TOLERANCE)
         )
-
-    def _kept_or(self, name: str, samples: Sequence[Sample], compute: Callable[[], Array]) -> Array:
-        """(samples, pixels) images of a file, or made now and kept in it."""
-        path: Path = self.place.parts / f"{name}.npz"
-        known = (self.place.kept(path) or {}).get("images")
-        if known is not None and known.shape == (len(samples), self._pixels) and known.dtype.kind == "f":
-            return known.astype(float)
-        images = compute()
-        self.place.keep(path, {"images": images})
-        return images
 
 
 def _liquids(samples: Sequence[Sample]) -> list[tuple[float, float]]:

@@ -103,9 +103,8 @@ def _kept_answer(place: Place, plan: PreparationPlan, shape: tuple[int, int], ce
 
 @dataclass(frozen=True)
 class _Job:
-    """One file of the preparation: of light paths, one medium's lattices of some numbers."""
+    """One file of the preparation: orders 1 and 2 of some media, or light paths of one, of lattices of some numbers."""
 
-    kind: str
     samples: tuple[Sample, ...]
     cost: float
     lattices: range = range(0)
@@ -113,7 +112,8 @@ class _Job:
     @property
     def name(self) -> str:
         """Of the file."""
-        return f"{self.kind}{self.samples[0].index}" + (f"from{self.lattices.start}" if self.lattices else "")
+        first = self.samples[0].index
+        return f"paths{first}from{self.lattices.start}" if self.lattices else f"exact{first}"
 
 
 class _Work:
@@ -131,9 +131,9 @@ class _Work:
         self._pixels = math.prod(sampling.scene.camera.shape)
         # What takes longest comes first, so that no core is left with it at the end.
         self._jobs = sorted(
-            [_Job("exact", part, (EXACT_COST if low is None else 0.0) * len(part)) for part in plan.together]
+            [_Job(part, (EXACT_COST if low is None else 0.0) * len(part)) for part in plan.together]
             + [
-                _Job("paths", (sample,), len(lattices), lattices)
+                _Job((sample,), len(lattices), lattices)
                 for sample in (() if entrance else plan.paths)
                 for lattices in plan.lattices(sample)
             ],
@@ -151,7 +151,7 @@ class _Work:
     def images(self, progress: Progress, threads: int) -> Images:
         """Compute, or read, all."""
         total, done = sum(job.cost for job in self._jobs), 0.0
-        exact: dict[int, NDArray[np.floating]] = {}
+        exact: dict[int, Array] = {}
         paths = np.zeros((len(self._plan.paths), *self._sampling.shape))
         pool = ThreadPoolExecutor(threads)
         try:
@@ -160,7 +160,7 @@ class _Work:
                 job, images = running[future], future.result()
                 if job.lattices:
                     (one,) = job.samples
-                    paths[one.index] += len(job.lattices) / one.batches * images[0].astype(float)
+                    paths[one.index] += len(job.lattices) / one.batches * images[0]
                 else:
                     exact |= {one.index: image for one, image in zip(job.samples, images, strict=True)}
                 done += job.cost
@@ -174,23 +174,21 @@ class _Work:
         grid, checks = np.split(np.array([exact[index] for index in sorted(exact)]), [len(self._plan.exact)])
         return Images(grid, checks, paths, share, None if self._low is None else self._low.off)
 
-    def _images(self, job: _Job) -> NDArray[np.floating]:
+    def _images(self, job: _Job) -> Array:
         """Of each of a job's media."""
-        liquids = [(one.sigma_t, one.g) for one in job.samples]
-        if job.kind == "exact" and self._low is not None:
-            return self._low.images(liquids)
-        path = self._place.parts / f"{job.name}.npz"
-        shape = (len(job.samples), *(self._sampling.shape if job.lattices else (2, self._pixels)))
-        known = (self._place.kept(path) or {}).get("images")
-        if known is not None and known.shape == shape and known.dtype.kind == "f":
-            return known.astype(float)
-        images: NDArray[np.floating]
         if job.lattices:
             (one,) = job.samples
-            images = self._sampling.sample(Medium(0.0, one.sigma_t, one.g), one.index, job.lattices)[None]
-            images = images.astype(np.float32)
-        else:
-            tables = self._entrance.tables(job.samples) if self._entrance is not None else []
-            images = exact_images(self._sampling.scene, liquids, self._plan.tolerance, tables)
-        self._place.keep(path, {"images": images})
-        return images
+            of_one = (1, *self._sampling.shape)
+            return self._place.part(job.name, of_one, lambda: self._followed(one, job.lattices)[None])
+        liquids = [(one.sigma_t, one.g) for one in job.samples]
+        if self._low is not None:
+            return self._low.images(liquids)
+        shape = (len(job.samples), 2, self._pixels)
+        return self._place.part(job.name, shape, lambda: self._exact(job.samples, liquids))
+
+    def _followed(self, one: Sample, lattices: range) -> NDArray[np.float32]:
+        return self._sampling.sample(Medium(0.0, one.sigma_t, one.g), one.index, lattices).astype(np.float32)
+
+    def _exact(self, samples: tuple[Sample, ...], liquids: list[tuple[float, float]]) -> Array:
+        tables = self._entrance.tables(samples) if self._entrance is not None else []
+        return exact_images(self._sampling.scene, liquids, self._plan.tolerance, tables)

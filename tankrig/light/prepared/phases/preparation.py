@@ -110,13 +110,10 @@ def training_images(
 
 def _paths_of(sample: PhaseSample, place: Place, sampling: PathImages) -> NDArray[np.floating]:
     """(2, albedos, rows, degrees) of a medium, by different paths."""
-    path = place.parts / f"paths{sample.index}.npz"
-    known = (place.kept(path) or {}).get("image")
-    if known is not None and known.shape == (2, *sampling.shape) and known.dtype.kind == "f":
-        return np.asarray(known, np.float32)
     medium = Medium(0.0, sample.sigma_t, phase=sample.phase)
-    image = np.array(
-        [sampling.sample(medium, 2 * sample.index + half, range(sample.batches)) for half in range(2)], np.float32
-    )
-    place.keep(path, {"image": image})
-    return image
+
+    def followed() -> NDArray[np.float32]:
+        halves = [sampling.sample(medium, 2 * sample.index + half, range(sample.batches)) for half in range(2)]
+        return np.array(halves, np.float32)
+
+    return place.part(f"paths{sample.index}", (2, *sampling.shape), followed)
