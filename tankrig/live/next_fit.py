@@ -1,37 +1,28 @@
 """Which fit comes next: the newest dose first, by models that are prepared for it, then the series of what is over."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import TankrigError
-from tankrig.light.prepared.about import holds
 from tankrig.light.prepared.box import Box
+from tankrig.live.asked_models import AskedModels
 from tankrig.live.exposures import Exposures, Photograph, has_changed
 from tankrig.live.fits import fit_all, fit_dose, fit_dose_prepared, with_single
 from tankrig.live.photograph_plan import PhotographPlan
-from tankrig.live.preparing import LOOK, LOOK_START, Preparing, foreseen, phases_prepared
+from tankrig.live.preparing import LOOK, LOOK_START, Preparing, phases_prepared
 from tankrig.live.results import FIRST_LOOK, DoseFit, FailedFit, Fit, SeriesFit, diluted
 from tankrig.live.sheets_so_far import SheetsSoFar
-from tankrig.scene.description import Medium, Scene
+from tankrig.scene.description import Medium
 from tankrig.scene.phase_table import PhaseFunction
 
 QUIET_S = 0.3
 """Without new frames for so long, what takes longer is done too: single scattering for comparison, and the series."""
 ANOTHER_DOSE = -1
 """Newest frame of a fit that is not of the newest."""
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """Models that a dose is to have: of scenes, for a box. Those of a first look are no dose's."""
-
-    dose_ml: float | None
-    scenes: tuple[Scene, ...]
-    box: Box
 
 
 class Fitter:
@@ -83,17 +74,16 @@ class Fitter:
         self._passing: dict[float, tuple[DoseFit, list[Photograph]]] = {}
         self._bare: dict[float, tuple[DoseFit, list[Photograph]]] = {}
         self._stages: dict[float, int] = {}
-        self._box: dict[float, Box] = {}
         self.waiting = False
         self._awaited = False
         self._awaited_in: tuple[Box, Medium] = LOOK, LOOK_START
-        self._asked: list[_Asked] = []
+        self._asked = None if self._preparing is None else AskedModels(self._preparing, plan)
         for fit in earlier:
             if isinstance(fit, DoseFit):
                 self._fitted[fit.dose_ml] = 0 if fit.rough else fit.frames + fit.left_out
                 self._keep(fit)
-        if self._latest is None:
-            self._begin()
+        if self._latest is None and self._asked is not None:
+            self._asked.begin()
 
     @property
     def unfinished(self) -> bool:
@@ -130,9 +120,9 @@ class Fitter:
 
     def _finely(self, fit: DoseFit, photographs: list[Photograph]) -> DoseFit:
         """The fit anew by many light paths by way of the floor, for which nobody waits; as it is where it has none."""
-        if self._preparing is None or "floor" not in fit.astray:
+        if self._preparing is None or self._asked is None or "floor" not in fit.astray:
             return fit
-        models = self._preparing.models([one.scene for one in photographs], self._box[fit.dose_ml])
+        models = self._preparing.models([one.scene for one in photographs], self._asked.fitted_in(fit.dose_ml))
         assert models is not None  # which the fit is by
         try:
             fine = fit_dose_prepared(photographs, models, fit.medium, self._phase)
@@ -230,12 +220,12 @@ class Fitter:
     def _quick(self, photographs: list[Photograph]) -> DoseFit | None:
         """The fit by prepared models; None where they cannot be had, or while they are `_awaited`."""
         self._awaited = False
-        if self._preparing is None:
+        if self._preparing is None or self._asked is None:
             return None
         dose_ml = photographs[0].dose_ml
         start = self._start(dose_ml)
         if start is not None:
-            found = self._fit_within(self._box_of(dose_ml, start), photographs, start)
+            found = self._fit_within(self._asked.box_of(dose_ml, start), photographs, start)
             if found is not None or self._awaited:
                 return found
         if dose_ml not in self._looked:
@@ -253,9 +243,9 @@ class Fitter:
         which media models are to be prepared for.
         """
         dose_ml, (box, start) = photographs[0].dose_ml, self._awaited_in
-        if self._preparing is None or box == LOOK:
-            return None
         preparing = self._preparing
+        if preparing is None or self._asked is None or box == LOOK:
+            return None
         so_far = [(one, preparing.model_so_far(one.scene, box)) for one in photographs]
         ready = [(one, model) for one, model in so_far if model is not None]
         stages = sum(1 if model.first else 2 for _, model in ready)
@@ -269,7 +259,8 @@ class Fitter:
             return None  # the fit of all patterns says why
         if fit is None:
             return None
-        fit, self._box[dose_ml] = about(fit), box
+        fit = about(fit)
+        self._asked.keep_box(dose_ml, box)
         self._keep(fit)
         return fit
 
@@ -298,71 +289,25 @@ class Fitter:
     def _fit_within(self, box: Box, photographs: list[Photograph], start: Medium) -> DoseFit | None:
         """The fit by models of a box, or None; `_awaited` where they are not ready yet."""
         assert self._preparing is not None
+        assert self._asked is not None
         scenes = [one.scene for one in photographs]
         models = self._preparing.models(scenes, box)
         if models is None:
             self._awaited = self._preparing.under_way(scenes, box)
             if self._awaited:
                 self._awaited_in = box, start
-                others = () if self._plan is None or box == LOOK else self._plan.scenes.values()
-                every = tuple(dict.fromkeys((*scenes, *others)))
-                self._await(_Asked(None if box == LOOK else photographs[0].dose_ml, every, box))
+                self._asked.await_models(photographs[0].dose_ml, scenes, box)
             return None
         found = fit_dose_prepared(photographs, models, start, self._phase, quick=True)
         if found is not None and box != LOOK:
-            self._box[photographs[0].dose_ml] = box
+            self._asked.keep_box(photographs[0].dose_ml, box)
         return found
-
-    def _begin(self) -> None:
-        """Have models prepared before there is anything to fit: for the ink expected, and for a first look."""
-        if self._preparing is None or self._plan is None:
-            return
-        scenes, doses_ml, ink = list(self._plan.scenes.values()), self._plan.doses_ml, self._plan.ink
-        asked = []
-        for some, box in foreseen(scenes, doses_ml, ink):
-            held = (one for one in doses_ml if ink is not None and holds(box, diluted(ink, 1.0, one)))
-            asked.append(_Asked(None if box == LOOK else next(held), tuple(some), box))
-        self._ask(asked)
-
-    def _ask(self, asked: Sequence[_Asked], at_once: bool = True) -> None:
-        """Have models prepared next, or after all others, the most wanted first. What else their doses were to have is
-        wanted no more: each look at ink that mixes, and each dose, foresees the following ones a little better."""
-        assert self._preparing is not None
-        doses = [one.dose_ml for one in asked]
-        others = [one for one in self._asked if one.dose_ml not in doses]
-        self._asked = [*asked, *others] if at_once else [*others, *asked]
-        self._preparing.want([(one.scenes, one.box) for one in self._asked])
-
-    def _await(self, wanted: _Asked) -> None:
-        """Have models of a dose, or of a look, prepared in their turn; next, where they have not been asked for."""
-        known = next((one for one in self._asked if (one.dose_ml, one.box) == (wanted.dose_ml, wanted.box)), None)
-        if known is None or not set(wanted.scenes) <= set(known.scenes):
-            self._ask([wanted])
 
     def _keep(self, fit: DoseFit) -> None:
         """Remember what a dose is, and have models prepared for it and for all that are to follow."""
         self._liquid[fit.dose_ml], self._latest = fit.medium, (fit.medium, fit.dose_ml)
-        self._prepare_from(fit)
-
-    def _prepare_from(self, fit: DoseFit, at_once: bool = True) -> None:
-        """Have models prepared for a dose as it was found, and for all that are to follow; next, or in their turn."""
-        if self._preparing is None or self._plan is None:
-            return
-        scenes = tuple(self._plan.scenes.values())
-        following = sorted({one for one in self._plan.doses_ml if one > 1.001 * fit.dose_ml})
-        boxes = {one: self._preparing.box(diluted(fit.medium, fit.dose_ml, one)) for one in following}
-        boxes = {fit.dose_ml: self._box_of(fit.dose_ml, fit.medium)} | boxes
-        self._ask([_Asked(dose_ml, scenes, box) for dose_ml, box in boxes.items()], at_once)
-
-    def _box_of(self, dose_ml: float, liquid: Medium) -> Box:
-        """The box that a dose was fitted in, as long as that holds its liquid; else one that holds it well inside.
-
-        Liquids that Henyey–Greenstein does not describe end near boxes' edges: on an emulsion's bench six more models,
-        of a minute each, were made to have them inside.
-        """
-        assert self._preparing is not None
-        own = self._box.get(dose_ml)
-        return own if own is not None and own.holds(liquid) else self._preparing.box(liquid)
+        if self._asked is not None:
+            self._asked.foresee(fit)
 
     def _look_ahead(self, exposures: Exposures) -> None:
         """Have models prepared by a first look at ink that still mixes: it has minutes for that, frames have seconds.
@@ -384,8 +329,8 @@ class Fitter:
             look = None
         if not self._awaited:
             self._ahead[photograph.dose_ml] = photograph.image
-            if look is not None and look.structure is None:
-                self._prepare_from(look, at_once=False)
+            if self._asked is not None and look is not None and look.structure is None:
+                self._asked.foresee(look, at_once=False)
 
     def _start(self, dose_ml: float) -> Medium | None:
         """Where to begin: the dose's own last fit, what the series foresees, another dose's liquid, diluted, or the ink
@@ -413,12 +358,12 @@ class Fitter:
         awaited = False
         for dose_ml in sorted({one.dose_ml for one in photographs}):
             liquid = self._start(dose_ml)
-            if self._preparing is None or liquid is None:
+            if self._preparing is None or self._asked is None or liquid is None:
                 continue
             scenes = [one.scene for one in photographs if one.dose_ml == dose_ml]
-            box = self._box_of(dose_ml, liquid)
+            box = self._asked.box_of(dose_ml, liquid)
             if self._preparing.models(scenes, box) is None and self._preparing.under_way(scenes, box):
-                self._await(_Asked(dose_ml, tuple(scenes), box))
+                self._asked.await_models(dose_ml, scenes, box)
                 awaited = True
         return awaited
 
