@@ -41,8 +41,8 @@ class Trial:
     sigma_s, g
         (off, stated standard deviation): σs per ml as a share of the truth, g as it is.
     dose_s, whole_s
-        Of each dose, from its last frame to the first fit that is made after it, and to that of all of its patterns, s;
-        NaN where there was none while it ran.
+        Of each dose, from its last frame to the first fit that is made after it, and to that of all of its patterns by
+        whole models, s; NaN where there was none while it ran.
     all_s
         From the last frame of all to the series of all doses, s; NaN likewise.
     wall_s, cpu_s
