@@ -184,6 +184,12 @@ def _promise(value: Vector, jacobian: NDArray[np.float64], step: Vector) -> floa
     return -float(step @ (jacobian.T @ value)) - 0.5 * float(np.sum((jacobian @ step) ** 2))
 
 
+def whole_step(here: Evaluation) -> Vector:
+    """The undamped Gauss–Newton step, in coordinates."""
+    problem = here.problem
+    return _step(here.residual, here.jacobian, 0.0, here.coordinates, problem.box, problem.longest_step)
+
+
 def without_noise(here: Evaluation) -> Vector:
     """What a Gauss–Newton step gains, in coordinates, when noise of the derivatives is not taken for their size.
 
