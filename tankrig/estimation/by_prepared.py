@@ -45,10 +45,11 @@ TELLING, MORE = 0.5, 1024
 """Share of σs's variance, as one image's own noise and priors leave it, that noise of paths may add before so many
 lattices are followed in the end: of beads of .5 µm 256 more than doubled it, and σs came out 3.1 standard deviations
 too large."""
-STEPS_ENOUGH = 0.1
+STEPS_ENOUGH = 0.25
 """Standard deviations that no value has moved by, nor would without shapes held, at a place that is gone to from one
-where models were made right: it is the end, which costs as much again to be borne out. Of a bench's emulsion images of
-places that were .1 % of σs apart still differed by more than noise of light paths, where that is known to 1.5 %."""
+where models were made right: it is the end, and bearing it out would cost as much as each place before. Of a bench's
+emulsion images of places that were .1 % of σs apart still differed by more than noise of light paths, and σs is known
+to .4 % by noise and models' errors alone."""
 NOWHERE = 0.05
 """Change of χ²/2 below which shapes held so lead nowhere: let go again at the same place they would go to where they
 were refused, until no centres are left (beads of .5 µm did so five times)."""
