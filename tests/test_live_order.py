@@ -226,6 +226,18 @@ def test_models_are_prepared_by_a_picture_of_ink_that_still_mixes(monkeypatch: p
     assert exposures.photographs()[0].frames == 1
 
 
+def of_two_patterns() -> tuple[next_fit.Fitter, Exposures, ByPattern]:
+    """A fitter that knows the ink, a dose photographed with two patterns, and their models."""
+    two = Pattern("bar", np.roll(PATTERNS["sheet"].pixels, 3, axis=1))
+    planned = PhotographPlan.of(BENCH, SEQUENCE, [*PATTERNS.values(), two])
+    exposures, models = Exposures(planned), ByPattern()
+    exposures.take(dosed(100.0), None)
+    for pattern in (PATTERNS["sheet"], two):
+        exposures.take(frame(pattern, 2), np.full((40, 60), 500, np.uint16))
+    earlier = DoseFit(0.05, Medium(0.0002, 0.004, 0.6), frames=1)
+    return next_fit.Fitter([earlier], models, planned), exposures, models  # type: ignore[arg-type]
+
+
 def test_a_dose_is_fitted_by_the_patterns_whose_models_are_ready(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a bench the first fit of a dose came when the models of all its patterns were there, twice as late."""
     fitted: list[tuple[str, ...]] = []
@@ -235,15 +247,7 @@ def test_a_dose_is_fitted_by_the_patterns_whose_models_are_ready(monkeypatch: py
         return DoseFit(0.1, start, frames=sum(one.frames for one in photographs), patterns=fitted[-1], model="prepared")
 
     monkeypatch.setattr(next_fit, "fit_dose_prepared", fit)
-    two = Pattern("bar", np.roll(PATTERNS["sheet"].pixels, 3, axis=1))
-    planned = PhotographPlan.of(BENCH, SEQUENCE, [*PATTERNS.values(), two])
-    exposures = Exposures(planned)
-    exposures.take(dosed(100.0), None)
-    for pattern in (PATTERNS["sheet"], two):
-        exposures.take(frame(pattern, 2), np.full((40, 60), 500, np.uint16))
-    models = ByPattern()
-    earlier = DoseFit(0.05, Medium(0.0002, 0.004, 0.6), frames=1)
-    fitter = next_fit.Fitter([earlier], models, planned)  # type: ignore[arg-type]
+    fitter, exposures, models = of_two_patterns()
     assert fitter.next(exposures, last=False) is None
     first, second = exposures.photographs(0)
     models.ready_scenes = [first.scene]
@@ -269,15 +273,7 @@ def test_a_dose_is_fitted_by_first_models_until_whole_ones_are_there(monkeypatch
 
     monkeypatch.setattr(next_fit, "fit_dose_prepared", fit)
     monkeypatch.setattr(next_fit, "with_single", lambda fit, _: replace(fit, single=SingleScattering(0.008, 1.0)))
-    two = Pattern("bar", np.roll(PATTERNS["sheet"].pixels, 3, axis=1))
-    planned = PhotographPlan.of(BENCH, SEQUENCE, [*PATTERNS.values(), two])
-    exposures = Exposures(planned)
-    exposures.take(dosed(100.0), None)
-    for pattern in (PATTERNS["sheet"], two):
-        exposures.take(frame(pattern, 2), np.full((40, 60), 500, np.uint16))
-    models = ByPattern()
-    earlier = DoseFit(0.05, Medium(0.0002, 0.004, 0.6), frames=1)
-    fitter = next_fit.Fitter([earlier], models, planned)  # type: ignore[arg-type]
+    fitter, exposures, models = of_two_patterns()
     scenes = [one.scene for one in exposures.photographs(0)]
     fits = []
     for models.first_scenes, models.ready_scenes in (
@@ -310,6 +306,15 @@ def test_a_series_waits_for_the_models_of_doses_that_were_fitted_before(monkeypa
     assert set(wanted) <= set(boxes.wanted)
     boxes.ready = set(wanted)
     assert isinstance(fitter.next(exposures, last=True), SeriesFit)
+
+
+@pytest.mark.parametrize("ink", [Medium(0.0004, 0.02, 0.96), Medium(0.0, 1e-5, 0.5), Medium(0.1, 9.0, 0.5)])
+def test_ink_that_no_box_holds_is_expected_all_the_same(ink: Medium) -> None:
+    """The fits' process would end as it begins."""
+    boxes = Boxes()
+    next_fit.Fitter((), boxes, replace(plan(), ink=ink))  # type: ignore[arg-type]
+    assert boxes.wanted[-1] == LOOK
+    assert boxes.wanted[0] == box_for(diluted(ink, 1.0, 0.1))
 
 
 def test_all_doses_to_come_are_prepared_for_and_the_next_one_first() -> None:

@@ -116,8 +116,8 @@ def test_a_fit_that_leads_astray_wherever_it_is_let_go_ends_where_holding_it_lea
 def test_a_fit_ends_where_no_value_moves_by_what_is_known_of_it(
     monkeypatch: pytest.MonkeyPatch, sd: float, places: int
 ) -> None:
-    """An emulsion's series on a bench made models right at seven places, the last four .07 standard deviations apart:
-    two minutes each."""
+    """An emulsion's series on a bench made models right at seven places, the last four .1 % of σs apart: two minutes
+    each."""
     end, moved, held, _ = led(
         monkeypatch, lambda at, close: (0.9 if at < 0.5 else 0.05) * (1.0 - at) * (1.0 + close), sd
     )

@@ -265,9 +265,9 @@ def prepare(
         Which phase functions it answers for: "hg", Henyey–Greenstein's, or "any". For any, light and sight must run
         straight, and lenses and walls be ideal.
     first
-        Whether a first model is enough, which errs by twice as much as the whole one where light or sight slant, and is
-        there much sooner. It is not kept, but the whole one goes on from there. Of any phase functions, and where light
-        and sight run straight, it is the whole one.
+        Whether a first model is enough, which is there much sooner where light or sight slant, and errs by up to twice
+        as much as the whole one. It is not kept, but the whole one goes on from there. Of any phase functions, and
+        where light and sight run straight, it is the whole one.
 
     Returns
     -------

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from tankrig.light.prepared.about import holds
+from tankrig.light.prepared.about import box_for, holds
 from tankrig.light.prepared.box import Box
 from tankrig.live.photograph_plan import PhotographPlan
 from tankrig.live.preparing import LOOK, Preparing, foreseen
@@ -35,7 +35,7 @@ class AskedModels:
     """
 
     def __init__(self, preparing: Preparing, plan: PhotographPlan | None) -> None:
-        self._preparing, self._plan = preparing, plan
+        self.preparing, self._plan = preparing, plan
         self._asked: list[_Asked] = []
         self._fitted_in: dict[float, Box] = {}
 
@@ -43,10 +43,10 @@ class AskedModels:
         """The box that a dose was fitted in, as long as that holds its liquid; else one that holds it well inside.
 
         Liquids that Henyey–Greenstein does not describe end near boxes' edges: to have them well inside an emulsion's
-        bench wanted more than ten models in place of six.
+        bench wanted more than ten models; another one without wants six.
         """
         own = self._fitted_in.get(dose_ml)
-        return own if own is not None and own.holds(liquid) else self._preparing.box(liquid)
+        return own if own is not None and own.holds(liquid) else self.preparing.box(liquid)
 
     def fitted_in(self, dose_ml: float) -> Box:
         """The box that a dose was fitted in last."""
@@ -60,11 +60,13 @@ class AskedModels:
         """Ask for what can be prepared before there is anything to fit: for the ink expected, and for a first look."""
         if self._plan is None:
             return
-        scenes, doses_ml, ink = list(self._plan.scenes.values()), self._plan.doses_ml, self._plan.ink
-        asked = []
-        for some, box in foreseen(scenes, doses_ml, ink):
-            held = (one for one in doses_ml if ink is not None and holds(box, diluted(ink, 1.0, one)))
-            asked.append(_Asked(None if box == LOOK else next(held), tuple(some), box))
+        ink, asked = self._plan.ink, []
+        doses_ml = sorted(one for one in self._plan.doses_ml if one > 0.0)
+        liquids = {} if ink is None else {one: diluted(ink, 1.0, one) for one in doses_ml}
+        for scenes, box in foreseen(list(self._plan.scenes.values()), doses_ml, ink):
+            # A liquid beyond all edges is in no box, but one was made for it.
+            of = next((one for one, liquid in liquids.items() if holds(box, liquid) or box == box_for(liquid)), None)
+            asked.append(_Asked(None if box == LOOK else of, tuple(scenes), box))
         self._ask(asked)
 
     def foresee(self, fit: DoseFit, at_once: bool = True) -> None:
@@ -73,7 +75,7 @@ class AskedModels:
             return
         scenes = tuple(self._plan.scenes.values())
         following = sorted({one for one in self._plan.doses_ml if one > 1.001 * fit.dose_ml})
-        boxes = {one: self._preparing.box(diluted(fit.medium, fit.dose_ml, one)) for one in following}
+        boxes = {one: self.preparing.box(diluted(fit.medium, fit.dose_ml, one)) for one in following}
         boxes = {fit.dose_ml: self.box_of(fit.dose_ml, fit.medium)} | boxes
         self._ask([_Asked(dose_ml, scenes, box) for dose_ml, box in boxes.items()], at_once)
 
@@ -90,4 +92,4 @@ class AskedModels:
         doses = [one.dose_ml for one in asked]
         others = [one for one in self._asked if one.dose_ml not in doses]
         self._asked = [*asked, *others] if at_once else [*others, *asked]
-        self._preparing.want([(one.scenes, one.box) for one in self._asked])
+        self.preparing.want([(one.scenes, one.box) for one in self._asked])

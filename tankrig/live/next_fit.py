@@ -62,7 +62,7 @@ class Fitter:
         self._judged: dict[float, tuple[DoseFit, int]] = {}
         self._phase: str | PhaseFunction = "hg" if plan is None else plan.phase
         known = plan is None or phases_prepared(plan) is not None
-        self._preparing, self._plan, self._progress = preparing if known else None, plan, progress
+        self._plan, self._progress = plan, progress
         self._fitted: dict[float, int] = {}
         self._liquid: dict[float, Medium] = {}
         self._looked: dict[float, DoseFit | None] = {}
@@ -77,7 +77,7 @@ class Fitter:
         self.waiting = False
         self._awaited = False
         self._awaited_in: tuple[Box, Medium] = LOOK, LOOK_START
-        self._asked = None if self._preparing is None else AskedModels(self._preparing, plan)
+        self._asked = AskedModels(preparing, plan) if known and preparing is not None else None
         for fit in earlier:
             if isinstance(fit, DoseFit):
                 self._fitted[fit.dose_ml] = 0 if fit.rough else fit.frames + fit.left_out
@@ -120,9 +120,9 @@ class Fitter:
 
     def _finely(self, fit: DoseFit, photographs: list[Photograph]) -> DoseFit:
         """The fit anew by many light paths by way of the floor, for which nobody waits; as it is where it has none."""
-        if self._preparing is None or self._asked is None or "floor" not in fit.astray:
+        if self._asked is None or "floor" not in fit.astray:
             return fit
-        models = self._preparing.models([one.scene for one in photographs], self._asked.fitted_in(fit.dose_ml))
+        models = self._asked.preparing.models([one.scene for one in photographs], self._asked.fitted_in(fit.dose_ml))
         assert models is not None  # which the fit is by
         try:
             fine = fit_dose_prepared(photographs, models, fit.medium, self._phase)
@@ -185,7 +185,7 @@ class Fitter:
     def _foresees(self) -> bool:
         """Whether no first look is needed, as something tells what ink it is."""
         expected = self._plan is not None and self._plan.ink is not None
-        return self._preparing is None or self._latest is not None or expected
+        return self._asked is None or self._latest is not None or expected
 
     def _in_turn(self, exposures: Exposures) -> list[int]:
         """Doses, the newest first; where nothing is known of the ink, the thinnest, which a first look tells best."""
@@ -220,7 +220,7 @@ class Fitter:
     def _quick(self, photographs: list[Photograph]) -> DoseFit | None:
         """The fit by prepared models; None where they cannot be had, or while they are `_awaited`."""
         self._awaited = False
-        if self._preparing is None or self._asked is None:
+        if self._asked is None:
             return None
         dose_ml = photographs[0].dose_ml
         start = self._start(dose_ml)
@@ -234,7 +234,9 @@ class Fitter:
                 return None
             self._looked[dose_ml] = look
         seen = self._looked[dose_ml]
-        return None if seen is None else self._fit_within(self._preparing.box(seen.medium), photographs, seen.medium)
+        return (
+            None if seen is None else self._fit_within(self._asked.preparing.box(seen.medium), photographs, seen.medium)
+        )
 
     def _of_some(self, photographs: list[Photograph], about: Callable[[DoseFit], DoseFit]) -> DoseFit | None:
         """The fit by those patterns that have models so far, and by first ones, while whole ones are prepared.
@@ -243,9 +245,9 @@ class Fitter:
         which media models are to be prepared for.
         """
         dose_ml, (box, start) = photographs[0].dose_ml, self._awaited_in
-        preparing = self._preparing
-        if preparing is None or self._asked is None or box == LOOK:
+        if self._asked is None or box == LOOK:
             return None
+        preparing = self._asked.preparing
         so_far = [(one, preparing.model_so_far(one.scene, box)) for one in photographs]
         ready = [(one, model) for one, model in so_far if model is not None]
         stages = sum(1 if model.first else 2 for _, model in ready)
@@ -271,9 +273,9 @@ class Fitter:
         A person sees about what it is, with the look's own error in the errors; the journal waits for the fit.
         """
         dose_ml = photographs[0].dose_ml
-        if self._preparing is None or dose_ml in self._told or self._latest is not None:
+        if self._asked is None or dose_ml in self._told or self._latest is not None:
             return None
-        models = self._preparing.models([photographs[0].scene], LOOK)
+        models = self._asked.preparing.models([photographs[0].scene], LOOK)
         if models is None:
             return None
         self._told.add(dose_ml)
@@ -288,12 +290,11 @@ class Fitter:
 
     def _fit_within(self, box: Box, photographs: list[Photograph], start: Medium) -> DoseFit | None:
         """The fit by models of a box, or None; `_awaited` where they are not ready yet."""
-        assert self._preparing is not None
         assert self._asked is not None
         scenes = [one.scene for one in photographs]
-        models = self._preparing.models(scenes, box)
+        models = self._asked.preparing.models(scenes, box)
         if models is None:
-            self._awaited = self._preparing.under_way(scenes, box)
+            self._awaited = self._asked.preparing.under_way(scenes, box)
             if self._awaited:
                 self._awaited_in = box, start
                 self._asked.await_models(photographs[0].dose_ml, scenes, box)
@@ -358,17 +359,17 @@ class Fitter:
         awaited = False
         for dose_ml in sorted({one.dose_ml for one in photographs}):
             liquid = self._start(dose_ml)
-            if self._preparing is None or self._asked is None or liquid is None:
+            if self._asked is None or liquid is None:
                 continue
             scenes = [one.scene for one in photographs if one.dose_ml == dose_ml]
             box = self._asked.box_of(dose_ml, liquid)
-            if self._preparing.models(scenes, box) is None and self._preparing.under_way(scenes, box):
+            if self._asked.preparing.models(scenes, box) is None and self._asked.preparing.under_way(scenes, box):
                 self._asked.await_models(dose_ml, scenes, box)
                 awaited = True
         return awaited
 
     def _all(self, photographs: list[Photograph]) -> Fit:
-        models = self._preparing.all_models if self._preparing else ()
+        models = self._asked.preparing.all_models if self._asked else ()
         start = None if self._latest is None else diluted(*self._latest, 1.0)
         try:
             self._series = fit_all(photographs, self._series or start, models, self._progress, self._phase)

@@ -186,7 +186,9 @@ class Preparing:
         Returns at once. What was wanted before and is not any more is left where it is: later calls go on with it.
         """
         every = dict.fromkeys((scene, box) for scenes, box in wanted for scene in scenes)
-        long = {one for one in every if self._with_first and takes_long(*one, self._phases)}
+        with self._change:
+            new = set(every) - self._two_stages - self._models.keys() if self._with_first else set()
+        long = {one for one in new if takes_long(*one, self._phases)}
         with self._change:
             self._two_stages |= long
             self._waiting = [one for one in every if one not in self._models and one not in self._refused]

@@ -4,7 +4,7 @@ import math
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -67,15 +67,15 @@ def prepared(
             "bin them: give camera.bin, the pixels along the side of a bin"
         )
     place = place_of(scene, box, tolerance)
-    entrance = Entrance.known_to(scene, box, tolerance)
-    slanted = not shift_invariant(scene)
-    first = first and slanted and entrance is None
-    plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance, slanted, first)
+    plan = PreparationPlan(box, scene.tank.size_mm[0], tolerance, not shift_invariant(scene))
     sampling = PathImages(scene, plan.albedos)
     known = _kept_answer(place, plan, scene.camera.shape, math.prod(sampling.shape[1:]))
     if known is not None:
         progress(1.0)
         return known, place.model
+    entrance = Entrance.known_to(scene, box, tolerance)
+    first = first and plan.slanted and entrance is None
+    plan = replace(plan, first=first)
     work = _Work(sampling, plan, place, entrance, LowOrders.kept_for(scene, box, tolerance))
     place.require_room(work.size)
     unlike = Entrance.unlike(scene, box, tolerance)
