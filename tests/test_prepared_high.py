@@ -13,7 +13,7 @@ from tankrig.estimation.differences import values_of
 from tankrig.estimation.followed import Followed, in_water
 from tankrig.estimation.forward import family_models
 from tankrig.estimation.phase_families import as_free, free, reynolds_mccormick
-from tankrig.estimation.with_prepared import Lift, Lifted, WithPrepared, told_together
+from tankrig.estimation.with_prepared import Lift, Lifted, WithPrepared, looked_at_together, told_together
 from tankrig.light.behind_lenses import BehindLenses
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.phases import checked, high, plan
@@ -330,6 +330,29 @@ def test_doses_of_a_pattern_have_their_low_orders_told_together(
     assert asked == [3, 3]
     alone = Lift.of(Followed(haloed, 2, 0, None, family=free(), tables=0.05)).of_low(LIQUIDS[1])
     assert np.allclose(factors[1], alone, rtol=1e-9)
+
+
+def test_doses_of_a_pattern_are_looked_at_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each by itself, a series of three doses and two patterns behind glass took 120 CPU s before its search began."""
+    asked: list[int] = []
+    once = BehindLenses.once
+
+    def counted(behind: BehindLenses, media: Sequence[Medium]) -> NDArray[np.float64]:
+        asked.append(len(media))
+        return once(behind, media)
+
+    few = replace(GLASS, camera=replace(CAMERA, shape=(10, 15), pixel_mm=16.0, blur=Blur(0.0)))
+    family = free()
+    phase = family.phase(as_free(TwoTerm(0.85, -0.3, 0.96)))
+    doses = [Medium(0.0, sigma_s, phase=phase) for sigma_s in (0.002, 0.0021, 0.005, 0.02)]
+    model = Lifted(Lift.of(Followed(few, 2, 0, None, small=True, family=family, tables=0.05)))
+    monkeypatch.setattr(BehindLenses, "once", counted)
+    looked_at_together([model] * 4, doses)
+    assert asked[:2] == [3, 3]  # of all light and of the beams alone; two doses are of one density, nearly
+    images = [model(one).image for one in doses]
+    assert max(asked[2:]) == 1
+    alone = Lifted(Lift.of(Followed(few, 2, 0, None, small=True, family=family, tables=0.05)))
+    assert np.allclose(images[2], alone(doses[2]).image, rtol=1e-9)
 
 
 def test_doses_of_a_pattern_have_derivatives_of_order_1_told_together(

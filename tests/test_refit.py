@@ -103,12 +103,17 @@ def test_a_run_that_ended_too_early_for_its_fits_gets_them_by_one_command(
     assert "not fitted" not in page
 
 
-def test_a_rough_fit_from_while_a_run_went_on_is_none_yet(run: Path) -> None:
-    """A run that was too busy to its end would keep it; `refit` said that everything is fitted."""
+def without_end(run: Path) -> None:
+    """Take away its last line, so that what is recorded next counts as from while it went on."""
     journal = run / "journal.jsonl"
     lines = journal.read_text(encoding="utf-8").splitlines(keepends=True)
     assert json.loads(lines[-1])["kind"] == "end"
     journal.write_text("".join(lines[:-1]), encoding="utf-8")
+
+
+def test_a_rough_fit_from_while_a_run_went_on_is_none_yet(run: Path) -> None:
+    """A run that was too busy to its end would keep it; `refit` said that everything is fitted."""
+    without_end(run)
     whole = DoseFit(0.1, Medium(0.001, 0.008, 0.5), frames=1000, single=SingleScattering(0.009, 1.0))
     for fit, missing in ((replace(whole, single=None, astray={"floor": (0.02, 0.01)}), (0.1, 0.2)), (whole, (0.2,))):
         with RunWriter(run) as writer:
@@ -145,6 +150,33 @@ def test_a_series_that_shows_another_phase_function_is_gone_on_with(
     assert main(["refit", str(run)]) == 0
     assert asked == [(replace(series, doubted=True), "any")]
     assert not unfitted(open_run(run))
+
+
+def test_where_all_doses_show_another_phase_function_the_series_is_fitted_with_others_at_once(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An emulsion on a bench of glass had whole models made, and its series fitted by Henyey–Greenstein's phase
+    function, for 370 to 640 CPU s before another one was tried."""
+    without_end(run)
+    single = SingleScattering(0.009, 1.0)
+    whole = DoseFit(0.1, Medium(0.001, 0.008, 0.5), (1e-4, 1e-4, 0.01), frames=1000, single=single)
+    rough = [replace(whole, dose_ml=dose_ml, first=True, structure=0.03) for dose_ml in (0.1, 0.2)]
+    with RunWriter(run) as writer:
+        writer.put("fit", **to_fields(rough[0]))
+        assert unfitted(open_run(run)).doses_ml == (0.1, 0.2)  # of the other dose nothing is known
+        writer.put("fit", **to_fields(rough[1]))
+    assert unfitted(open_run(run)) == Unfitted(series=True)
+    asked: list[object] = []
+
+    def fitted(_: object, start: object, **how: object) -> SeriesFit:
+        asked.append((start, how["phase"]))
+        return SeriesFit((0.1, 0.2), Medium(0.01, 0.04, 0.5), Medium(0.0, 0.0, 0.0), sd=(0.001, 0.001, 0.01, 0.0001))
+
+    monkeypatch.setattr(refitting, "fit_all", fitted)
+    assert main(["refit", str(run)]) == 0
+    assert asked == [(diluted(whole.medium, 0.2, 1.0), "any")]
+    assert not unfitted(open_run(run))
+    capsys.readouterr()
 
 
 def test_what_was_fitted_before_an_interruption_is_kept_and_the_next_call_goes_on(

@@ -120,7 +120,7 @@ class Followed:
     def __call__(self, medium: Medium) -> Prediction:
         """The image; of another phase function than Henyey–Greenstein's by itself."""
         found = self._direct(medium)
-        return found if self.scene.tank.faces.dark else replace(found, image=found.image + self._by_faces(medium))
+        return found if self.scene.tank.faces.dark else replace(found, image=found.image + self.by_faces(medium))
 
     def slopes(self, medium: Medium) -> Image:
         """(3, rows, columns) derivatives by σa, σs and g, or (2 + k, rows, columns) by a family's coordinates."""
@@ -226,6 +226,12 @@ class Followed:
     def _known_low(self) -> dict[Medium, Image]:
         return {}
 
+    def first_images(self, media: Sequence[Medium]) -> list[Image]:
+        """Order 1 of several media, which takes as long as of one; nothing of it is kept."""
+        from tankrig.light.behind_lenses import BehindLenses
+
+        return list(BehindLenses(self.scene).once([in_water(medium, self.water_sigma_s) for medium in media]))
+
     def first_slopes(self, media: Sequence[Medium]) -> list[tuple[Image, Image]]:
         """Order 1 of several media, and (2 + k, rows, columns) its derivatives by σa, σs and a family's coordinates."""
         from tankrig.estimation.differences import turning_of
@@ -254,7 +260,8 @@ class Followed:
         return self._whole(medium).prediction if whole else self._alone(medium)
 
     @cached_property
-    def _by_faces(self) -> Callable[[Medium], Image]:
+    def by_faces(self) -> Callable[[Medium], Image]:
+        """What paths by way of faces bring."""
         from tankrig.light.behind_lenses import BehindLenses
 
         def by_faces(medium: Medium) -> Image:

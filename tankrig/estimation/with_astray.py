@@ -14,6 +14,7 @@ from tankrig.estimation.phase_families import Family
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.shots import Fit, Shot, rough_problem
 from tankrig.estimation.uncertainty import overconfidence
+from tankrig.estimation.with_prepared import looked_at_together
 from tankrig.scene import Medium
 
 Array = NDArray[np.float64]
@@ -32,6 +33,7 @@ def astray_from(
     bench's fit went to twice the density, beyond all that had been prepared, and stayed there.
     """
     at, none = rough_problem(shots, blocks, scaling).at(start), np.zeros(len(astray[0].sd))
+    looked_at_together([shot.models.coarse for shot in shots], at.media)
     patterns = tuple(
         replace(one, quick=True).at(medium, shot.models.coarse(medium).image, none)
         for one, shot, medium in zip(astray, shots, at.media, strict=True)

@@ -138,7 +138,9 @@ def fit_all(
 
     `progress` is told in a few words what is being done; what it raises ends the fit. Of phase functions but
     Henyey–Greenstein's models must be prepared for any. A series that ends beyond their boxes, as of ink thinner than
-    models are prepared for, is gone on with by the tank model there.
+    models are prepared for, is gone on with by the tank model there; not where the ink may well have another phase
+    function than was fitted, which leads beyond them by itself: an emulsion's on a bench of glass followed light paths
+    for more than eight minutes, and determined nothing.
 
     Raises
     ------
@@ -165,7 +167,7 @@ def fit_all(
         )
 
     found = fitted(start, nearly_within(prepared) if prepared else None)
-    if not _held(found, photographs, prepared):
+    if not found.doubted and not _held(found, photographs, prepared):
         found = fitted(found, prepared_model(prepared))
     return SeriesFit(
         doses_ml=tuple(sorted({one.dose_ml for one in photographs})), ink=found.ink, water=found.water,

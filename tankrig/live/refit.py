@@ -3,7 +3,7 @@
 import math
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -66,8 +66,9 @@ class Unfitted:
 def unfitted(run: Run) -> Unfitted:
     """What a run lacks, by its journal alone: doses whose lit frames are not all in their last fit, and the series.
 
-    Nor are they in a rough fit, whose run was too busy for another one. A fit made after the run's end has seen
-    all that can be read.
+    Nor are they in a rough fit, whose run was too busy for another one; but where all doses show that the ink has
+    another phase function than Henyey–Greenstein's, finer fits by that tell no more. A fit made after the run's end has
+    seen all that can be read.
     """
     waves = wave_names(run)
     lit = {key for key, pattern in run.patterns.items() if pattern.pixels.any() and pattern.name not in waves}
@@ -79,12 +80,19 @@ def unfitted(run: Run) -> Unfitted:
     doses, series = fits_in([event.fields for event in fits_that_hold(run)])
     ended = run.end.seq if run.end is not None else math.inf
     since = {event.get("dose_ml") for event in run.fits if event.seq > ended and "error" not in event.fields}
-    counted = {one.dose_ml: 0 if one.rough else one.frames + one.left_out for one in doses}
+    straight_on = _goes_straight_on(doses, frames) and PhotographPlan.of_run(run).may_go_further
+    counted = {one.dose_ml: 0 if one.rough and not straight_on else one.frames + one.left_out for one in doses}
     fitted = {dose_ml: math.inf if dose_ml in since else seen for dose_ml, seen in counted.items()}
     missing = tuple(dose_ml for dose_ml in sorted(frames) if fitted.get(dose_ml, 0) < frames[dose_ml])
     whole = series is not None and len(series.doses_ml) >= len(frames)
     further = whole and series is not None and series.doubted and PhotographPlan.of_run(run).may_go_further
     return Unfitted(missing, len(frames) > 1 and not whole, further)
+
+
+def _goes_straight_on(doses: Iterable[DoseFit], doses_ml: Collection[float]) -> bool:
+    """Whether the series' fit by Henyey–Greenstein's phase function would tell nothing: all doses show another one."""
+    doubted = {one.dose_ml for one in doses if one.doubted}
+    return len(doses_ml) > 1 and doubted.issuperset(doses_ml)
 
 
 def refit(
@@ -97,8 +105,9 @@ def refit(
 ) -> list[Fit]:
     """Fit what a run lacks, or everything anew, and record each fit in its journal as soon as it is made.
 
-    Where the series' fit shows that the ink has another phase function than Henyey–Greenstein's, and nobody has said
-    which to search, the series is fitted with others too: a free one, families, and spheres of any size.
+    Where all doses show that the ink has another phase function than Henyey–Greenstein's, or the series' fit by that
+    does, and nobody has said which to search, the series is fitted with others: a free one, families, and spheres of
+    any size.
 
     What ends it, be it an error, Ctrl-C or what `progress` raises, loses no fit that was made: the next call goes on.
 
@@ -115,7 +124,8 @@ def refit(
     phase
         Which phase functions are searched, as in `tankrig.estimate`; None: those of the run's sequence.
     further
-        Whether a series that shows another phase function is fitted with others, which takes ten minutes and more.
+        Whether a series that shows another phase function is fitted with others, which takes ten minutes and more; else
+        it is fitted by Henyey–Greenstein's.
 
     Returns
     -------
@@ -163,18 +173,29 @@ def fits_made(
     def told(words: str) -> None:
         progress(words, nothing)
 
-    missing = unfitted(run)
-    if everything or missing.doses_ml or missing.series:
+    missing, further = unfitted(run), further and plan.may_go_further
+    photographs = exposures.photographs()
+    doses_ml, found = {one.dose_ml for one in photographs}, {one.dose_ml: one for one in doses}
+    straight_on = further and missing.series and not missing.doses_ml and _goes_straight_on(doses, doses_ml)
+    if not straight_on and (everything or missing.doses_ml or missing.series):
         by_tank = model == "tank"
         made = _by_tank_model(exposures, plan, doses, series, sheets, told) if by_tank else _as_live(
             plan, exposures, doses, sheets, progress
         )  # fmt: skip
         for fit in made:
-            series = fit if isinstance(fit, SeriesFit) else series
             yield fit
-    if further and series is not None and series.doubted and plan.may_go_further:
+            if isinstance(fit, SeriesFit):
+                series = fit
+            elif isinstance(fit, DoseFit):
+                found[fit.dose_ml] = fit
+                straight_on = further and _goes_straight_on(found.values(), doses_ml)
+            if straight_on:
+                break
+    if straight_on or (further and series is not None and series.doubted):
         told("fitting the series with other phase functions")
-        yield sheets.beside_series(fit_all(exposures.photographs(), series, progress=told, phase="any"))
+        densest = max(found.values(), key=lambda one: one.dose_ml) if straight_on else None
+        start = series if densest is None else diluted(densest.medium, densest.dose_ml, 1.0)
+        yield sheets.beside_series(fit_all(photographs, start, progress=told, phase="any"))
 
 
 def _by_tank_model(

@@ -9,6 +9,7 @@ from tankrig.estimation.coordinates import NAMES
 from tankrig.estimation.ink_blocks import in_tank
 from tankrig.estimation.phase_result import Scattering
 from tankrig.estimation.result import Linearity
+from tankrig.estimation.several_images import DOUBTED
 from tankrig.scene import Medium
 from tankrig.scene.phase_fields import phase_fields, phase_from_fields
 
@@ -147,6 +148,11 @@ class DoseFit:
     def rough(self) -> bool:
         """Whether it is by first models, or saw a floor's light by few paths, and another one was to come."""
         return self.first or (self.single is None and "floor" in self.astray)
+
+    @property
+    def doubted(self) -> bool:
+        """Whether it is by Henyey–Greenstein's phase function, which leaves so much that the ink may have another."""
+        return self.scattering is None and self.structure is not None and self.structure > DOUBTED
 
 
 @dataclass(frozen=True)
