@@ -69,7 +69,7 @@ def led(
     monkeypatch.setattr(by_prepared, "accurate_problem", accurate)
     monkeypatch.setattr(by_prepared, "solve", solved)
     monkeypatch.setattr(by_prepared, "whole_step", lambda ahead: np.array([promise(float(ahead.coordinates[0]), 0.0)]))
-    monkeypatch.setattr(by_prepared, "costs_more", lambda ahead, centre, _: ahead.cost > centre.cost + 3.0)
+    monkeypatch.setattr(by_prepared, "costs_more", lambda ahead, centre, *_: ahead.cost > centre.cost + 3.0)
     monkeypatch.setattr(
         by_prepared, "are_foretold", lambda there, before: abs(float((there[0].row - before[0].row)[0])) < 0.02
     )

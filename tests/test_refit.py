@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -177,6 +178,34 @@ def test_where_all_doses_show_another_phase_function_the_series_is_fitted_with_o
     assert asked == [(diluted(whole.medium, 0.2, 1.0), "any")]
     assert not unfitted(open_run(run))
     capsys.readouterr()
+
+
+def test_doses_that_show_another_phase_function_by_first_models_wait_for_no_whole_ones(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While the series was fitted with other phase functions, models that nobody wanted any more went on being made."""
+    single = SingleScattering(0.009, 1.0)
+    rough = DoseFit(0.1, Medium(0.001, 0.008, 0.5), (1e-4, 1e-4, 0.01), frames=3, single=single, structure=0.03)
+    ended: list[str] = []
+
+    def made(*_: object) -> Iterator[DoseFit | SeriesFit]:
+        try:
+            for dose_ml in (0.2, 0.1):
+                yield replace(rough, dose_ml=dose_ml, first=True)
+            ended.append("series")
+            yield SeriesFit((0.1, 0.2), rough.medium, rough.medium)
+        finally:
+            ended.append("models")
+
+    def fitted(*_: object, phase: str, **__: object) -> SeriesFit:
+        ended.append(phase)
+        return SeriesFit((0.1, 0.2), rough.medium, rough.medium)
+
+    monkeypatch.setattr(refitting, "_as_live", made)
+    monkeypatch.setattr(refitting, "fit_all", fitted)
+    refit(run)
+    assert ended == ["models", "any"]
+    assert refit(run) == []
 
 
 def test_what_was_fitted_before_an_interruption_is_kept_and_the_next_call_goes_on(

@@ -159,7 +159,7 @@ def by_centres(
     close, refused, wanted = CLOSE, 0, np.zeros(0)
     for _ in range(MOST_CENTRES):
         there = versions_near(shots, best)
-        if centre is not None and costs_more(best, centre, there):
+        if centre is not None and costs_more(best, centre, there, weight):
             close, refused, wanted = FIRMER * max(close, CLOSE), refused + 1, best.row - centre.row
             if refused == MOST_REFUSED:
                 break
@@ -176,7 +176,7 @@ def by_centres(
         best = centre.problem.at(best.coordinates)
         if not refused and has_settled(centre, best):
             return best, versions, None
-        if refused and abs(centre.cost - best.cost) < NOWHERE:
+        if refused and abs(centre.cost - best.cost) < NOWHERE * weight:
             return centre, versions, wanted
     assert centre is not None
     return centre, versions, best.row - centre.row
@@ -190,10 +190,15 @@ def has_settled(centre: Evaluation, ahead: Evaluation) -> bool:
     return bool((np.abs(ahead.row - centre.row) < enough).all() and (np.abs(wanted) < enough).all())
 
 
-def costs_more(ahead: Evaluation, centre: Evaluation, there: Versions) -> bool:
-    """Whether a place explains less than the one that a fit went from, by models made right at both."""
+def costs_more(ahead: Evaluation, centre: Evaluation, there: Versions, weight: float) -> bool:
+    """Whether a place explains less than the one that a fit went from, by models made right at both.
+
+    Where much is left that no phase function explains, costs are as many times larger as smoothness has weight, and so
+    is what noise of light paths makes of them; what a place costs more than another by less than steps call enough is
+    no reason to turn back.
+    """
     seen = [always(fine(medium).image) for (fine, _), medium in zip(there, ahead.media, strict=True)]
-    return centre.problem.by(seen).at(ahead.coordinates).cost > centre.cost + WORSE
+    return centre.problem.by(seen).at(ahead.coordinates).cost > centre.cost + max(WORSE, weight * MANY_ENOUGH)
 
 
 def are_foretold(there: Versions, before: Versions) -> bool:

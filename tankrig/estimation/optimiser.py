@@ -76,12 +76,13 @@ def solve(
     ...         self.residual, self.jacobian = np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10], [-1, 0]])
     ...         self.cost = 0.5 * self.residual @ self.residual
     >>> wide = np.full(2, 5.0)
-    >>> rest = {"longest_step": wide, "quick": False, "least_damping": 0.0, "noisy": False}
+    >>> rest = {"longest_step": wide, "quick": False, "slow": False, "least_damping": 0.0, "noisy": False}
     >>> problem = SimpleNamespace(at=Valley, box=(-wide, wide), **rest)
     >>> solve(problem, np.array([-1.2, 1.0]), 1e-9, 200).coordinates.round(3).tolist()
     [1.0, 1.0]
     """
     box, longest_step, least = problem.box, problem.longest_step, problem.least_damping
+    each = problem.quick and not problem.slow
     damping, reach = max(damping, least), longest_step
     here = problem.at(np.clip(start, *box))
     jacobian = here.jacobian
@@ -104,7 +105,7 @@ def solve(
             if even.cost < here.cost:
                 step, ahead = even.coordinates - at, even
         if ahead.cost < here.cost:
-            fresh = problem.quick or here.cost - ahead.cost < CREEPING * _promise(value, jacobian, step)
+            fresh = each or here.cost - ahead.cost < CREEPING * _promise(value, jacobian, step)
             if fresh:
                 jacobian = ahead.jacobian
             else:

@@ -101,7 +101,8 @@ class Problem:
     close
         Coordinates that those expected to be 0 ± 1 stay close to, and how many times as much as to 0; None: to none.
     slow
-        Whether images take so long though they are quick that several at a time are worth it.
+        Whether images take so long though derivatives come along that several at a time are worth it, and derivatives
+        three times as long: those of six photographs behind glass by a free phase function's shapes take 57 CPU s.
     noisy
         Whether images and derivatives have the noise of light paths, by which they need not agree.
     """

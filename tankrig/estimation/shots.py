@@ -138,8 +138,9 @@ def rough_problem(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Sca
         error = share * np.maximum(seen.image - ambient, 0.0)
         views.append(replace(shot.view(image_of(coarse), shot.slopes_of(coarse), error), number=number))
     quick = all(shot.models.quick(shot.models.coarse) for shot in shots)
+    slow = any(shot.models.prepares for shot in shots)
     noisy = any(is_noisy(shot.models, shot.models.coarse) for shot in shots)
-    return Problem(tuple(views), blocks, scaling, quick=quick, noisy=noisy)
+    return Problem(tuple(views), blocks, scaling, quick=quick, slow=slow, noisy=noisy)
 
 
 def weighed_problem(

@@ -3,7 +3,9 @@
 import math
 import os
 import threading
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -180,17 +182,18 @@ def fits_made(
     if not straight_on and (everything or missing.doses_ml or missing.series):
         by_tank = model == "tank"
         made = _by_tank_model(exposures, plan, doses, series, sheets, told) if by_tank else _as_live(
-            plan, exposures, doses, sheets, progress
+            plan, exposures, doses, sheets, progress, further
         )  # fmt: skip
-        for fit in made:
-            yield fit
-            if isinstance(fit, SeriesFit):
-                series = fit
-            elif isinstance(fit, DoseFit):
-                found[fit.dose_ml] = fit
-                straight_on = further and _goes_straight_on(found.values(), doses_ml)
-            if straight_on:
-                break
+        with closing(made):
+            for fit in made:
+                yield fit
+                if isinstance(fit, SeriesFit):
+                    series = fit
+                elif isinstance(fit, DoseFit):
+                    found[fit.dose_ml] = fit
+                    straight_on = further and _goes_straight_on(found.values(), doses_ml)
+                if straight_on:
+                    break
     if straight_on or (further and series is not None and series.doubted):
         told("fitting the series with other phase functions")
         densest = max(found.values(), key=lambda one: one.dose_ml) if straight_on else None
@@ -205,7 +208,7 @@ def _by_tank_model(
     series: SeriesFit | None,
     sheets: SheetsSoFar,
     progress: Callable[[str], None],
-) -> Iterator[Fit]:
+) -> Generator[Fit, None, None]:
     sheets.look(exposures)
     # Henyey–Greenstein's three numbers are found from anywhere; other phase functions from what is expected.
     # A label's spheres are searched all about it, and not begun from.
@@ -231,11 +234,21 @@ def _by_tank_model(
 
 
 def _as_live(
-    plan: PhotographPlan, exposures: Exposures, doses: list[DoseFit], sheets: SheetsSoFar, progress: Told
-) -> Iterator[Fit]:
-    """By the live fit's own decisions, with all frames there at once."""
+    plan: PhotographPlan,
+    exposures: Exposures,
+    doses: list[DoseFit],
+    sheets: SheetsSoFar,
+    progress: Told,
+    further: bool,
+) -> Generator[Fit, None, None]:
+    """By the live fit's own decisions, with all frames there at once.
+
+    Where the series may be fitted with other phase functions, first models are made before whole ones, and fits by them
+    are given where they show another one.
+    """
     news = threading.Event()
-    preparing = Preparing(lambda _: news.set(), phases=phases_prepared(plan) or "hg")
+    preparing = Preparing(lambda _: news.set(), phases=phases_prepared(plan) or "hg", first=further)
+    photographs = Counter(one.dose_ml for one in exposures.photographs())
 
     def told(words: str) -> None:
         progress(words, preparing.left)
@@ -249,8 +262,10 @@ def _as_live(
     try:
         fitter = Fitter(doses, preparing, plan, told, sheets)
         for fit in fit_all_there_is(fitter, lambda: (exposures, True), wait):
-            if not (isinstance(fit, DoseFit) and (fit.passing or fit.single is None)):
+            if not isinstance(fit, DoseFit) or (fit.single is not None and not fit.passing):
                 yield fit  # nobody waits for what lacks single scattering
+            elif further and fit.first and fit.doubted and len(fit.patterns) == photographs[fit.dose_ml]:
+                yield fit
             told("fitting")
     finally:
         preparing.close()

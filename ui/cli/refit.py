@@ -65,9 +65,9 @@ def refit(
 ) -> int:
     """Fit what RUN lacks, and record it in RUN: doses whose frames were not all fitted, and the series.
 
-    Where the series shows that the ink has another phase function than Henyey–Greenstein's, and nobody has said which,
-    the series is fitted with others too: a free one, families of them, and spheres of any size, as beads and droplets
-    are. That takes ten minutes and more, in a tank of glass up to an hour.
+    Where all doses or the series show that the ink has another phase function than Henyey–Greenstein's, and nobody has
+    said which, the series is fitted with others: a free one, families of them, and spheres of any size, as beads and
+    droplets are. That takes ten minutes and more, in a tank of glass up to an hour.
 
     Each fit is recorded as soon as it is made. Ctrl-C ends it, and the next call goes on: models that were prepared, or
     begun, are kept on disk. With --phase everything is fitted anew. --rig names the simulated rig of the run, whose
