@@ -17,7 +17,7 @@ from tankrig.estimation.with_prepared import Lift, Lifted, WithPrepared, looked_
 from tankrig.light.behind_lenses import BehindLenses
 from tankrig.light.prepared.box import Box
 from tankrig.light.prepared.phases import checked, high, plan
-from tankrig.light.prepared.phases.checked import CheckedOrders, checked_at, checked_finely_at
+from tankrig.light.prepared.phases.checked import CheckedOrders, checked_at, checked_by_lattices
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
 from tankrig.light.prepared.sampling import PathImages
 from tankrig.light.tangent import tank_accurate
@@ -240,7 +240,7 @@ def test_a_medium_nearby_is_made_right_by_few_lattices(prepared: HighAnswer, mon
 
 
 def test_more_lattices_leave_as_much_less_of_their_noise(prepared: HighAnswer) -> None:
-    few, more = (checked_finely_at(prepared, LIQUIDS[0], count) for count in (32, 128))
+    few, more = (checked_by_lattices(prepared, LIQUIDS[0], count) for count in (32, 128))
     stated = float(np.linalg.norm(few.errors))
     assert float(np.linalg.norm(more.errors)) == pytest.approx(0.5 * stated, rel=0.25)
     assert 0.3 * stated < float(np.linalg.norm(more.off - few.off)) < 1.5 * stated
@@ -417,18 +417,19 @@ def test_what_was_prepared_is_used_again_where_it_holds_the_liquid(
     Both versions about a medium are made right by the same light paths.
     """
     asked: list[Box] = []
-    looked: list[Medium] = []
+    looked: list[tuple[float, bool]] = []
 
     def counted(_: Scene, box: Box, __: float) -> HighAnswer:
         asked.append(box)
         return prepared
 
-    def unchanged(high: HighAnswer, medium: Medium, _: object) -> CheckedOrders:
-        looked.append(medium)
+    def unchanged(high: HighAnswer, medium: Medium, known: object) -> CheckedOrders:
+        looked.append((medium.sigma_s, known == checked.FEWEST))
         return CheckedOrders(high, np.zeros(CAMERA.shape), np.zeros((1, *CAMERA.shape)))
 
     monkeypatch.setattr(with_prepared, "high_orders_prepared", counted)
     monkeypatch.setattr(with_prepared, "checked_at", unchanged)
+    monkeypatch.setattr(with_prepared, "checked_by_lattices", unchanged)
     models = family_models(SCENE, free(), prepared=True)
     phase = free().phase(as_free(BEAD))
     found, fine = models.refined(Medium(0.0004, 0.0102, phase=phase))
@@ -440,4 +441,5 @@ def test_what_was_prepared_is_used_again_where_it_holds_the_liquid(
     assert (found.fine, fine.fine, again.centre.sigma_s) == (False, True, 0.0112)
     models.refined(Medium(0.0004, 0.02, phase=phase))
     assert len(asked) == 2
-    assert [one.sigma_s for one in looked] == [0.0102, 0.0112, 0.02]
+    # Where a search has ended, from where a fit goes on, few lattices do.
+    assert looked == [(0.0102, True), (0.0112, False), (0.02, True)]

@@ -22,7 +22,7 @@ from tankrig.estimation.light_beside import described_beside
 from tankrig.estimation.phase_families import Family
 from tankrig.light.double import table_error
 from tankrig.light.prepared.about import box_for, holds
-from tankrig.light.prepared.phases.checked import CheckedOrders, Known, checked_at, checked_finely_at
+from tankrig.light.prepared.phases.checked import FEWEST, CheckedOrders, Known, checked_at, checked_by_lattices
 from tankrig.light.prepared.phases.high import HighAnswer, high_orders_prepared
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium
@@ -235,7 +235,10 @@ class WithPrepared:
     @classmethod
     def about(cls, lift: Lift, centre: Medium, made: Made) -> "WithPrepared":
         """By the first of what was made that holds a medium; else what is prepared for a box about it, or read from
-        the cache, is added there."""
+        the cache, is added there.
+
+        That is where a search has ended, from where a fit goes on: few lattices make it right there.
+        """
         low = lift.whole
         liquid = in_water(centre, low.water_sigma_s)
         high = next((one for one in made if holds(one.box, liquid)), None)
@@ -244,12 +247,14 @@ class WithPrepared:
             tolerance = TOLERANCE if low.scene.tank.faces.dark else TOLERANCE_BY_FACES
             high = high_orders_prepared(low.scene, box, tolerance)
             made[high] = []
-        right = checked_at(high, liquid, made[high])
+            right = checked_by_lattices(high, liquid, FEWEST)
+        else:
+            right = checked_at(high, liquid, made[high])
         return cls(lift, right, centre, cache(partial(missed_slopes, lift.bare, right, centre)))
 
     def by_lattices(self, count: int) -> "WithPrepared":
         """The same, made right at its centre by so many lattices of light paths."""
-        return replace(self, high=checked_finely_at(self.high.high, self._in_water(self.centre), count))
+        return replace(self, high=checked_by_lattices(self.high.high, self._in_water(self.centre), count))
 
     def __call__(self, medium: Medium) -> Prediction:
         """The image, with its errors as they lie."""

@@ -249,19 +249,18 @@ def low_orders(
     count = len(stepped)
     ones = behind.once([*stepped, *(Medium(medium.sigma_a, medium.sigma_s, phase=other) for other in others)])
     # Order 2 of each by itself, for tables of several have the nodes that one of them wants.
-    twos = np.zeros((count, *scene.camera.shape))
+    twos, turned = np.zeros((count, *scene.camera.shape)), np.zeros((len(others), *scene.camera.shape))
     if highest >= 2:
-        twos = np.array([behind.twice([one], tables)[0] for one in stepped])
+        here = behind.twice([medium], tables, others)
+        twos = np.array([here[0], *(behind.twice([one], tables)[0] for one in stepped[1:])])
+        turned = here[1:]
     first, second = ones[0], twos[0]
     image = first + second
     by_absorption = (ones[1] + twos[1] - image) / absorption
     by_scattering = by_absorption + (first + 2.0 * second) / medium.sigma_s
     if medium.phase is None:
         return image, np.stack([by_absorption, by_scattering, (ones[2] + twos[2] - image) / turning])
-    by_others = ones[count:] - first
-    if others and highest >= 2:
-        by_others = by_others + behind.twice([medium], tables, others)[1:]
-    return image, np.stack([by_absorption, by_scattering, *by_others])
+    return image, np.stack([by_absorption, by_scattering, *(ones[count:] - first + turned)])
 
 
 def tank_accurate(scene: Scene, paths: int, seed: int = 0, max_order: int | None = None) -> Prediction:

@@ -129,7 +129,7 @@ def checked_at(high: HighAnswer, medium: Medium, known: Known | None = None, thr
     return found
 
 
-def checked_finely_at(high: HighAnswer, medium: Medium, lattices: int, threads: int = THREADS) -> CheckedOrders:
+def checked_by_lattices(high: HighAnswer, medium: Medium, lattices: int, threads: int = THREADS) -> CheckedOrders:
     """The same by so many lattices, whatever noise they leave; 25 to 110 ms of CPU each."""
     return _made_right(high, *_by_all(_apart(high, medium, range(lattices), threads)))
 
