@@ -184,14 +184,15 @@ def test_doses_that_show_another_phase_function_by_first_models_wait_for_no_whol
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While the series was fitted with other phase functions, models that nobody wanted any more went on being made."""
-    single = SingleScattering(0.009, 1.0)
-    rough = DoseFit(0.1, Medium(0.001, 0.008, 0.5), (1e-4, 1e-4, 0.01), frames=3, single=single, structure=0.03)
+    rough = DoseFit(
+        0.1, Medium(0.001, 0.008, 0.5), (1e-4, 1e-4, 0.01), frames=3, patterns=("sheet",), structure=0.03, first=True
+    )
     ended: list[str] = []
 
     def made(*_: object) -> Iterator[DoseFit | SeriesFit]:
         try:
             for dose_ml in (0.2, 0.1):
-                yield replace(rough, dose_ml=dose_ml, first=True)
+                yield replace(rough, dose_ml=dose_ml)
             ended.append("series")
             yield SeriesFit((0.1, 0.2), rough.medium, rough.medium)
         finally:
@@ -201,7 +202,7 @@ def test_doses_that_show_another_phase_function_by_first_models_wait_for_no_whol
         ended.append(phase)
         return SeriesFit((0.1, 0.2), rough.medium, rough.medium)
 
-    monkeypatch.setattr(refitting, "_as_live", made)
+    monkeypatch.setattr(refitting, "fit_all_there_is", made)
     monkeypatch.setattr(refitting, "fit_all", fitted)
     refit(run)
     assert ended == ["models", "any"]

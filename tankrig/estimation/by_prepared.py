@@ -174,7 +174,7 @@ def by_centres(
         held = replace(near, close=(centre.coordinates, close) if close else None)
         best = solve(held, centre.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
         best = centre.problem.at(best.coordinates)
-        if not refused and has_settled(centre, best):
+        if not refused and has_settled(centre, best, weight > 1.0):
             return best, versions, None
         if refused and abs(centre.cost - best.cost) < NOWHERE * weight:
             return centre, versions, wanted
@@ -182,10 +182,13 @@ def by_centres(
     return centre, versions, best.row - centre.row
 
 
-def has_settled(centre: Evaluation, ahead: Evaluation) -> bool:
+def has_settled(centre: Evaluation, ahead: Evaluation, structured: bool) -> bool:
     """Whether a place is hardly apart from the one that a fit went from, by what is known of each value, nor would be
-    if shapes were not held to where derivatives are right."""
-    enough = STEPS_ENOUGH * ahead.deviations
+    if shapes were not held to where derivatives are right.
+
+    Where images are `structured` by what no phase function explains, values are known as well as parts of them agree.
+    """
+    enough = STEPS_ENOUGH * (ahead.deviations_by_parts if structured else ahead.deviations)
     wanted = ahead.chain @ whole_step(ahead)
     return bool((np.abs(ahead.row - centre.row) < enough).all() and (np.abs(wanted) < enough).all())
 

@@ -302,15 +302,24 @@ class Followed:
 
     def low_slopes(self, medium: Medium, highest: int = LOW_ORDERS) -> tuple[Image, Image]:
         """The image of orders up to one that follows no paths, and its derivatives by a family's coordinates."""
+        return self._known_low_slopes((medium, min(highest, self.max_order or highest)))
+
+    @cached_property
+    def _known_low_slopes(self) -> Callable[[tuple[Medium, int]], tuple[Image, Image]]:
         from tankrig.estimation.differences import turning_of
         from tankrig.light.tangent import low_orders
 
-        assert self.family is not None
-        turning, sizes = turning_of(medium, self.family)
-        tables = None if self.fine else self._tables
-        highest = min(highest, self.max_order or highest)
-        low, slopes = low_orders(replace(self.scene, medium=medium), highest, turning.others, tables)
-        return low, slopes / np.append(np.ones(2), sizes)[:, None, None]
+        family = self.family
+        assert family is not None
+
+        def slopes(asked: tuple[Medium, int]) -> tuple[Image, Image]:
+            medium, highest = asked
+            turning, sizes = turning_of(medium, family)
+            tables = None if self.fine else self._tables
+            low, found = low_orders(replace(self.scene, medium=medium), highest, turning.others, tables)
+            return low, found / np.append(np.ones(2), sizes)[:, None, None]
+
+        return lru_cache(maxsize=MOST_FIRST)(slopes)
 
     @cached_property
     def _paths_by_family(self) -> "Callable[[Medium], Tangent]":

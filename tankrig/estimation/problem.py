@@ -230,8 +230,16 @@ class Evaluation:
     @cached_property
     def deviations(self) -> Array:
         """(m,) standard deviations of `row`, by noise and by the models' own error."""
+        return self._deviations(None)
+
+    @property
+    def deviations_by_parts(self) -> Array:
+        """(m,) the same where images hold structure that these do not explain: as parts of them disagree, besides."""
+        return self._deviations(self.left)
+
+    def _deviations(self, residual: Array | None) -> Array:
         noise = [view.observation.noise for view in self.problem.views]
-        spread = self.sensitivity.covariance(noise, [view.error for view in self.problem.views])
+        spread = self.sensitivity.covariance(noise, [view.error for view in self.problem.views], residual)
         return np.asarray(np.sqrt(np.diag(spread)))
 
     @cached_property

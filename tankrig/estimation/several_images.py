@@ -15,6 +15,7 @@ from tankrig.estimation.phase_answer import Asked, answer_of, is_rough
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import Scattering
 from tankrig.estimation.problem import Evaluation
+from tankrig.estimation.result import DOUBTED
 from tankrig.estimation.series_forward import (
     ModelOf,
     low_orders_model,
@@ -30,10 +31,6 @@ from tankrig.light.rays import shift_invariant
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
-
-DOUBTED = 0.02
-"""Structure beyond what the models state, as a share of an image, from which on a Henyey–Greenstein fit determines
-neither σs nor g of ink: an emulsion leaves 6 %, beads 14 %, and σs is off by a third or more."""
 
 MOSTLY_SPHERES = 0.5
 """Share of the answer from which on spheres are fitted by themselves."""

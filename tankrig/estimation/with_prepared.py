@@ -122,7 +122,7 @@ class Lift:
         Those of order 1 are of all its light, which by way of walls is scattered by other angles than the beams' own.
         Order 2 changes as that of the beams does: what a halo adds to it is a hundredth, and as smooth.
         """
-        beams = replace(self.bare, fine=fine)
+        beams = replace(self.bare, fine=True) if fine else self.bare
         both, of_both = beams.low_slopes(medium)
         own = of_both / _not_dark(both)
         if self.nothing:

@@ -8,8 +8,7 @@ from typing import Any
 from tankrig.estimation.coordinates import NAMES
 from tankrig.estimation.ink_blocks import in_tank
 from tankrig.estimation.phase_result import Scattering
-from tankrig.estimation.result import Linearity
-from tankrig.estimation.several_images import DOUBTED
+from tankrig.estimation.result import DOUBTED, Linearity
 from tankrig.scene import Medium
 from tankrig.scene.phase_fields import phase_fields, phase_from_fields
 
