@@ -177,8 +177,9 @@ def fits_made(
 
     missing, further = unfitted(run), further and plan.may_go_further
     photographs = exposures.photographs()
-    doses_ml, found = {one.dose_ml for one in photographs}, {one.dose_ml: one for one in doses}
-    straight_on = further and missing.series and not missing.doses_ml and _goes_straight_on(doses, doses_ml)
+    doses_ml = {one.dose_ml for one in photographs}
+    found = {one.dose_ml: one for one in doses if one.dose_ml not in missing.doses_ml}
+    straight_on = further and missing.series and _goes_straight_on(found.values(), doses_ml)
     if not straight_on and (everything or missing.doses_ml or missing.series):
         by_tank = model == "tank"
         made = _by_tank_model(exposures, plan, doses, series, sheets, told) if by_tank else _as_live(
