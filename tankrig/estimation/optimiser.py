@@ -82,7 +82,7 @@ def solve(
     [1.0, 1.0]
     """
     box, longest_step, least = problem.box, problem.longest_step, problem.least_damping
-    each = problem.quick and not problem.slow
+    anew = problem.quick and not problem.slow  # derivatives at each step, as they cost hardly more than the image
     damping, reach = max(damping, least), longest_step
     here = problem.at(np.clip(start, *box))
     jacobian = here.jacobian
@@ -105,7 +105,7 @@ def solve(
             if even.cost < here.cost:
                 step, ahead = even.coordinates - at, even
         if ahead.cost < here.cost:
-            fresh = each or here.cost - ahead.cost < CREEPING * _promise(value, jacobian, step)
+            fresh = anew or here.cost - ahead.cost < CREEPING * _promise(value, jacobian, step)
             if fresh:
                 jacobian = ahead.jacobian
             else:

@@ -244,11 +244,12 @@ def _as_live(
 ) -> Generator[Fit, None, None]:
     """By the live fit's own decisions, with all frames there at once.
 
-    Where the series may be fitted with other phase functions, first models are made before whole ones, and fits by them
-    are given where they show another one.
+    Where the series may be fitted with other phase functions, and a dose's earlier fit shows one, first models are made
+    before whole ones, and fits by them are given where they show one too.
     """
     news = threading.Event()
-    preparing = Preparing(lambda _: news.set(), phases=phases_prepared(plan) or "hg", first=further)
+    first = further and any(one.doubted for one in doses)
+    preparing = Preparing(lambda _: news.set(), phases=phases_prepared(plan) or "hg", first=first)
     photographs = Counter(one.dose_ml for one in exposures.photographs())
 
     def told(words: str) -> None:
