@@ -292,6 +292,19 @@ def test_behind_glass_a_medium_nearby_is_made_right_by_few_lattices(prepared: Hi
     assert np.sqrt(max(off, 0.0)) < 1.25 * stated
 
 
+def test_no_more_lattices_are_followed_than_are_asked_for(
+    prepared: HighAnswer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of images that hold much besides noise, whatever noise that leaves."""
+    monkeypatch.setattr(checked, "FEWEST", 16)
+    monkeypatch.setattr(checked, "NEAR", 8)
+    behind_glass = replace(prepared, sampling=PathImages(GLASS, prepared.sampling.albedos))
+    few: checked.Known = []
+    found = checked_at(behind_glass, LIQUIDS[0], few, checked.FEWEST)
+    assert len(few[0]) == checked.FEWEST
+    assert np.linalg.norm(found.errors) > checked.ENOUGH
+
+
 def test_what_a_search_looks_at_has_light_by_way_of_walls_at_every_dose() -> None:
     """Without it a search for a phase function in a tank of glass began a third too dark; with one dose's share of it
     at all others, which have the same model, it went astray."""

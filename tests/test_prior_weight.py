@@ -87,7 +87,8 @@ def test_noise_of_paths_that_looks_like_more_ink_adds_its_square_to_the_variance
     alone = best.sensitivity.covariance([view.observation.noise], [None])[1, 1]
     more = 0.003 * medium.sigma_s
     like_ink = more * view.slopes(medium)[1:2]
-    assert share_by_paths(best, like_ink) == pytest.approx(more**2 / alone, rel=0.02)
-    assert share_by_paths(best, np.concatenate([like_ink, like_ink])) == pytest.approx(2.0 * more**2 / alone, rel=0.02)
+    assert share_by_paths(best, [like_ink]) == pytest.approx(more**2 / alone, rel=0.02)
+    both = np.concatenate([like_ink, like_ink])
+    assert share_by_paths(best, [both]) == pytest.approx(2.0 * more**2 / alone, rel=0.02)
     speckles = 0.01 * np.diag(view.observation.noise.ravel()).reshape(-1, *SHAPE)
-    assert 0.0 < share_by_paths(best, speckles) < 1.02e-4
+    assert 0.0 < share_by_paths(best, [speckles]) < 1.02e-4

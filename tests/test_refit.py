@@ -161,7 +161,7 @@ def test_where_all_doses_show_another_phase_function_the_series_is_fitted_with_o
     without_end(run)
     single = SingleScattering(0.009, 1.0)
     whole = DoseFit(0.1, Medium(0.001, 0.008, 0.5), (1e-4, 1e-4, 0.01), frames=1000, single=single)
-    rough = [replace(whole, dose_ml=dose_ml, first=True, structure=0.03) for dose_ml in (0.1, 0.2)]
+    rough = [replace(whole, dose_ml=dose_ml, first=True, structure=0.015) for dose_ml in (0.1, 0.2)]
     with RunWriter(run) as writer:
         writer.put("fit", **to_fields(rough[0]))
         assert unfitted(open_run(run)).doses_ml == (0.1, 0.2)  # of the other dose nothing is known

@@ -21,9 +21,10 @@ def refined(problem: Problem, shots: Sequence[Shot], near: Evaluation, rough: bo
     return accurate_problem(problem, shots, near, versions, rough), versions
 
 
-def versions_near(shots: Sequence[Shot], near: Evaluation) -> Versions:
-    """Accurate models for media near some place, each with the one whose derivatives are taken."""
-    versions = [shot.models.refined(liquid) for shot, liquid in zip(shots, near.media, strict=True)]
+def versions_near(shots: Sequence[Shot], near: Evaluation, roughly: bool = False) -> Versions:
+    """Accurate models for media near some place, each with the one whose derivatives are taken; `roughly` by fewer
+    light paths, see `Models`."""
+    versions = [shot.models.refined(liquid, roughly) for shot, liquid in zip(shots, near.media, strict=True)]
     told_together([fine for fine, _ in versions])
     return versions
 

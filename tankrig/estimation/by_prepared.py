@@ -24,7 +24,8 @@ from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.search import by_cost
 from tankrig.estimation.shots import Shot
 from tankrig.estimation.uncertainty import PatternedError, SmoothError
-from tankrig.estimation.with_prepared import WithPrepared
+from tankrig.estimation.with_prepared import WithPrepared, told_together
+from tankrig.light.prepared.phases.checked import MOST
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium
 
@@ -42,9 +43,12 @@ LIGHTER = 0.5
 FIRMER, MOST_REFUSED = 4.0, 3
 """Times as closely that shapes are held where a place was not gone on from, and how often in a row that is done."""
 TELLING, MORE = 0.5, 1024
-"""Share of σs's variance, as one image's own noise and priors leave it, that noise of paths may add before so many
-lattices are followed in the end: of beads of .5 µm 256 more than doubled it, and σs came out 3.1 standard deviations
-too large."""
+"""Share of σs's variance, as noise, priors and structure of the images leave it, that noise of paths may add before
+many lattices are followed in the end, of one image so many: of beads of .5 µm 256 more than doubled it, and σs came out
+3.1 standard deviations too large."""
+STRUCTURED = 100.0
+"""Times more that images seem to tell than they do, from which on noise of fewer light paths does at every place: of a
+bench's emulsion 3,500, where 256 lattices of each of six images took 323 CPU s a place behind glass."""
 STEPS_ENOUGH = 0.25
 """Standard deviations that no value has moved by, nor would without shapes held, at a place that is gone to from one
 where models were made right: it is the end, and bearing it out would cost as much as each place before. Of a bench's
@@ -82,8 +86,7 @@ def by_prepared(
     if family is not None and family.ladder.size:
         best, moved = by_ladder(best, family, weight * MANY_ENOUGH, PREPARED_STEPS)
     best, versions, unsettled = by_centres(best, shots, versions, weight)
-    if len(shots) == 1:
-        versions = _by_enough_paths(best, versions)
+    versions = _by_enough_paths(best, versions, weight > STRUCTURED)
     last = accurate_problem(best.problem, shots, best, versions)
     best = solve(last, best.coordinates, weight * MANY_ENOUGH, FINE_STEPS, damping=0.0)
     return best, versions, unsettled if moved is None else moved
@@ -95,7 +98,7 @@ def made_right_at(shot: Shot, medium: Medium, _times: float) -> Prediction:
     return fine(medium)
 
 
-def share_by_paths(best: Evaluation, patterns: Image) -> float:
+def share_by_paths(best: Evaluation, patterns: Sequence[Image], structured: bool = False) -> float:
     """What noise of light paths adds to the variance of σs, of what the camera's noise and priors leave of it.
 
     Parameters
@@ -103,26 +106,30 @@ def share_by_paths(best: Evaluation, patterns: Image) -> float:
     best
         Where it is told.
     patterns
-        (n, rows, columns) of that noise, see `Prediction`.
+        Of each image (n, rows, columns) of that noise, see `Prediction`.
+    structured
+        Whether images hold structure, by which parts of them disagree besides.
     """
-    (view,), (gain, _) = best.problem.views, best.scale
-    by_paths = PatternedError(gain * patterns, SmoothError(np.zeros(patterns.shape[1:]), 1.0))
+    gain, _ = best.scale
+    by_paths = [PatternedError(gain * one, SmoothError(np.zeros(one.shape[1:]), 1.0)) for one in patterns]
+    noise, left = [view.observation.noise for view in best.problem.views], best.left if structured else None
     both, alone = (
-        float(best.sensitivity.covariance([view.observation.noise], [error])[1, 1]) for error in (by_paths, None)
+        float(best.sensitivity.covariance(noise, errors, left)[1, 1]) for errors in (by_paths, [None] * len(noise))
     )
     return both / alone - 1.0
 
 
-def _by_enough_paths(best: Evaluation, versions: Versions) -> Versions:
-    """One image's models, made right where they are by `MORE` lattices of light paths where noise of fewer tells."""
-    ((fine, _),), (medium,) = versions, best.media
-    if not isinstance(fine, WithPrepared):
+def _by_enough_paths(best: Evaluation, versions: Versions, structured: bool) -> Versions:
+    """Models made right where they are by more lattices of light paths, one image's by `MORE`, where noise of fewer
+    tells."""
+    prepared = [fine for fine, _ in versions if isinstance(fine, WithPrepared)]
+    patterns = [one(one.centre).patterns for one in prepared]
+    told = [one for one in patterns if one is not None]
+    if len(told) < len(versions) or share_by_paths(best, told, structured) < TELLING:
         return versions
-    patterns = fine(medium).patterns
-    if patterns is None or share_by_paths(best, patterns) < TELLING:
-        return versions
-    finer = fine.by_lattices(MORE)
-    return [(finer, replace(finer, fine=True))]
+    finer = [one.by_lattices(MORE if len(prepared) == 1 else MOST) for one in prepared]
+    told_together(finer)
+    return [(one, replace(one, fine=True)) for one in finer]
 
 
 def _about_search(
@@ -158,7 +165,7 @@ def by_centres(
     centre: Evaluation | None = None
     close, refused, wanted = CLOSE, 0, np.zeros(0)
     for _ in range(MOST_CENTRES):
-        there = versions_near(shots, best)
+        there = versions_near(shots, best, weight > STRUCTURED)
         if centre is not None and costs_more(best, centre, there, weight):
             close, refused, wanted = FIRMER * max(close, CLOSE), refused + 1, best.row - centre.row
             if refused == MOST_REFUSED:

@@ -38,6 +38,7 @@ from tankrig.estimation.stated_errors import COARSE, FINE, stated_error
 from tankrig.estimation.versions import Exact, Models, image_of
 from tankrig.estimation.with_prepared import Lift, Lifted, Made, WithPrepared
 from tankrig.image.predict import MODELS, predict
+from tankrig.light.prepared.phases.checked import FEWEST
 from tankrig.prediction import Prediction, Skipped
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
@@ -376,10 +377,11 @@ def family_models(
 
     known: Made = {} if made is None else made
 
+    def refine_prepared(medium: Medium, most: int | None = None) -> tuple[Model, Model]:
+        near = WithPrepared.about(lift, medium, known, most)
+        return near, replace(near, fine=True)
+
     def refine(medium: Medium) -> tuple[Model, Model]:
-        if prepared:
-            near = WithPrepared.about(lift, medium, known)
-            return near, replace(near, fine=True)
         fine, slope = batches(medium, NEAR_NOISE, NEAR_BATCHES), batches(medium, ALIKE_NOISE, ALIKE_BATCHES)
         return followed(fine, 1), followed(slope, 2, sharp=True, fine=True)
 
@@ -389,8 +391,9 @@ def family_models(
         return accurate(in_water(medium, water_sigma_s), times)
 
     return Models(
-        Lifted(lift) if prepared and not lift.nothing else coarse, refine, exact=None if prepared else exact,
-        family=family, look=_look(scene, max_order), prepares=prepared,
+        Lifted(lift) if prepared and not lift.nothing else coarse, refine_prepared if prepared else refine,
+        exact=None if prepared else exact, family=family, look=_look(scene, max_order), prepares=prepared,
+        roughly=partial(refine_prepared, most=FEWEST) if prepared else None,
         different=partial(
             family_models, scene, max_order=max_order, water_sigma_s=water_sigma_s, prepared=prepared,
             made=known,

@@ -53,6 +53,8 @@ class Models:
         Patterns of the noise of `slopes`, (n, 3, rows, columns); None where it is not known.
     prepares
         Whether accurate versions are prepared about a medium, so that they answer for its neighbourhood only.
+    roughly
+        As `refine`, by fewer light paths, for images that hold more than noise; None: that.
     """
 
     coarse: Model
@@ -68,6 +70,7 @@ class Models:
     different: "Callable[[Family], Models] | None" = None
     slopes_noise: Slopes | None = None
     prepares: bool = False
+    roughly: Callable[[Medium], tuple[Model, Model]] | None = None
 
     def of(self, family: Family | None) -> "Models":
         """Versions for media of a family's phase functions."""
@@ -104,9 +107,10 @@ class Models:
         beams = model.main if isinstance(model, WithBeside) else model
         return self.slopes is not None or (self.family is None and isinstance(beams, Followed))
 
-    def refined(self, medium: Medium) -> tuple[Model, Model]:
-        """See `refine`."""
-        return self.refine(medium) if self.refine is not None else (self.coarse, self.coarse)
+    def refined(self, medium: Medium, roughly: bool = False) -> tuple[Model, Model]:
+        """See `refine` and `roughly`."""
+        refine = self.roughly if roughly and self.roughly is not None else self.refine
+        return refine(medium) if refine is not None else (self.coarse, self.coarse)
 
 
 def is_noisy(models: Models, model: Model) -> bool:

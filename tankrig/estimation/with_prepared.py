@@ -233,11 +233,12 @@ class WithPrepared:
     fine: bool = False
 
     @classmethod
-    def about(cls, lift: Lift, centre: Medium, made: Made) -> "WithPrepared":
+    def about(cls, lift: Lift, centre: Medium, made: Made, most: int | None = None) -> "WithPrepared":
         """By the first of what was made that holds a medium; else what is prepared for a box about it, or read from
         the cache, is added there.
 
-        That is where a search has ended, from where a fit goes on: few lattices make it right there.
+        That is where a search has ended, from where a fit goes on: few lattices make it right there, elsewhere so many
+        at most, see `checked_at`.
         """
         low = lift.whole
         liquid = in_water(centre, low.water_sigma_s)
@@ -249,7 +250,7 @@ class WithPrepared:
             made[high] = []
             right = checked_by_lattices(high, liquid, FEWEST)
         else:
-            right = checked_at(high, liquid, made[high])
+            right = checked_at(high, liquid, made[high], most)
         return cls(lift, right, centre, cache(partial(missed_slopes, lift.bare, right, centre)))
 
     def by_lattices(self, count: int) -> "WithPrepared":

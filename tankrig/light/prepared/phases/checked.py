@@ -99,8 +99,10 @@ class CheckedOrders:
         return self.size_at(medium) * self.errors
 
 
-def checked_at(high: HighAnswer, medium: Medium, known: Known | None = None, threads: int = THREADS) -> CheckedOrders:
-    """A prepared model made right about a medium; .5 to 20 CPU s, a quarter of what preparing it takes at most.
+def checked_at(
+    high: HighAnswer, medium: Medium, known: Known | None = None, most: int | None = None, threads: int = THREADS
+) -> CheckedOrders:
+    """A prepared model made right about a medium; .5 to 60 CPU s, the most of them in a tank of glass.
 
     Parameters
     ----------
@@ -110,12 +112,14 @@ def checked_at(high: HighAnswer, medium: Medium, known: Known | None = None, thr
         Where it is made right.
     known
         Of other media; where this one is near none of them, it is added.
+    most
+        Lattices that are followed at most, from `FEWEST` on; None: `MOST`.
     threads
         To follow them by.
     """
-    known = [] if known is None else known
+    known, most = [] if known is None else known, MOST if most is None else most
     apart: Array = np.zeros((0, math.prod(high.sampling.scene.camera.shape)))
-    for wanted in (NEAR, FEWEST, MOST):
+    for wanted in (NEAR, FEWEST, most):
         apart = np.concatenate([apart, _apart(high, medium, range(len(apart), wanted), threads)])
         near = _nearest(apart, known, high, medium)
         if near is not None:
@@ -123,7 +127,7 @@ def checked_at(high: HighAnswer, medium: Medium, known: Known | None = None, thr
         if wanted < FEWEST:
             continue
         found = _made_right(high, *_by_all(apart))
-        if wanted == MOST or float(np.linalg.norm(found.errors)) < ENOUGH:
+        if wanted == most or float(np.linalg.norm(found.errors)) < ENOUGH:
             break
     known[:] = [*known[1 - MOST_KNOWN :], apart.astype(np.float32)]
     return found
