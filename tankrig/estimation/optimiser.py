@@ -230,8 +230,9 @@ def _step(
     return np.clip(step, low, high)
 
 
-def polish(problem: Problem, start: Vector) -> Evaluation:
-    """The same, as far as the model's error lets the optimum be known; few steps where images take long."""
+def polish(problem: Problem, start: Vector, weight: float = 1.0) -> Evaluation:
+    """The same, as far as the model's error lets the optimum be known; few steps where images take long. Where images
+    seem to tell `weight` times more than they do, costs are as many times larger."""
     by_noise = np.concatenate([view.whitened(view.observation.noise) ** 2 for view in problem.views])
     enough = FINE_ENOUGH + MODEL_ENOUGH * (1.0 - float(np.mean(by_noise)))
-    return solve(problem, start, enough, SLOW_STEPS if problem.slow else LAST_STEPS, damping=0.0)
+    return solve(problem, start, weight * enough, SLOW_STEPS if problem.slow else LAST_STEPS, damping=0.0)

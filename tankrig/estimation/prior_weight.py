@@ -33,6 +33,11 @@ def believing(problem: Problem, weight: float) -> Problem:
     return replace(problem, blocks=tuple(blocks))
 
 
+def weight_in(problem: Problem) -> float:
+    """How firmly that is; 1 where no phase function is searched."""
+    return max((one.weight for one in problem.blocks if isinstance(one, PhaseBlock)), default=1.0)
+
+
 def weight_of_priors(end: Evaluation, seen: Sequence[Prediction], scenes: Sequence[Scene]) -> float:
     """How many times more a fit's images seem to tell than they do; 1 where noise and the model's error explain them.
 

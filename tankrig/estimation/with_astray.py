@@ -11,6 +11,7 @@ from tankrig.estimation.optimiser import polish
 from tankrig.estimation.parameters import Block
 from tankrig.estimation.phase_answer import BlocksOf
 from tankrig.estimation.phase_families import Family
+from tankrig.estimation.prior_weight import weight_in
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.shots import Fit, Shot, rough_problem
 from tankrig.estimation.uncertainty import overconfidence
@@ -20,7 +21,8 @@ from tankrig.scene import Medium
 Array = NDArray[np.float64]
 
 REPEATS, SETTLED = 5, 2.0
-"""Times at most that patterns are made anew for the liquid found, and the change of χ²/2 below which that is over."""
+"""Times at most that patterns are made anew for the liquid found, and the change of χ²/2 below which that is over, or
+so many times more as images seem to tell more than they do."""
 
 
 def astray_from(
@@ -59,6 +61,7 @@ def along_from(
 def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
     """The fit with what may go astray in each image; patterns follow the liquid, so it is repeated."""
     best, none = fit.optimum, np.zeros(len(astray[0].sd))
+    more = weight_in(best.problem)
     views = best.problem.views
     before = tuple(block for block in best.problem.blocks if not isinstance(block, AstrayBlock))
     begun = len(before) < len(best.problem.blocks)  # by `astray_from`, with sizes as the last coordinates
@@ -73,8 +76,8 @@ def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
         sensitivity, believed = problem.at(at).sensitivity, problem.believed(block)
         noise, errors = [view.observation.noise for view in views], [view.error for view in views]
         weight = overconfidence(sensitivity, believed, noise, errors)
-        best = polish(replace(problem, blocks=(*before, replace(block, weight=weight))), at)
+        best = polish(replace(problem, blocks=(*before, replace(block, weight=weight))), at, more)
         at = best.coordinates
-        if abs(cost - best.cost) < SETTLED:
+        if abs(cost - best.cost) < more * SETTLED:
             break
     return replace(fit, optimum=best)
