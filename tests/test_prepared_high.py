@@ -436,7 +436,7 @@ def test_what_was_prepared_is_used_again_where_it_holds_the_liquid(
         asked.append(box)
         return prepared
 
-    def unchanged(high: HighAnswer, medium: Medium, known: object) -> CheckedOrders:
+    def unchanged(high: HighAnswer, medium: Medium, known: object, *_: object) -> CheckedOrders:
         looked.append((medium.sigma_s, known == checked.FEWEST))
         return CheckedOrders(high, np.zeros(CAMERA.shape), np.zeros((1, *CAMERA.shape)))
 

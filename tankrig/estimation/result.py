@@ -24,6 +24,8 @@ DOUBTED = 0.01
 """Structure beyond what the models state, as a share of an image, from which on a Henyey–Greenstein fit determines
 neither σs nor g of ink: an emulsion leaves 6 %, beads 14 %, and σs is off by a third or more. One of g .56 on a bench
 left 1.5 to 2.3 % in its doses, with σs 7 to 13 % off; ink of Henyey–Greenstein's there .5 % at most."""
+UNDESCRIBED = 0.02
+"""The same of a free phase function's fit."""
 
 
 @dataclass(frozen=True)
@@ -230,6 +232,8 @@ class SeriesEstimate:
         Value and standard deviation of each that was fitted along, the same in all images.
     doubted
         Whether Henyey–Greenstein's was fitted and leaves so much that the ink may well have another phase function.
+    beyond
+        Structure of the residuals beyond what the models state, relative L2, of the image that has most.
     """
 
     ink: Medium
@@ -247,6 +251,7 @@ class SeriesEstimate:
     scattering: Scattering | None = None
     nuisance: dict[str, tuple[float, float]] = field(default_factory=dict)
     doubted: bool = False
+    beyond: float = 0.0
 
     def at(self, dose_ml: float) -> Medium:
         """The liquid at a dose."""

@@ -256,7 +256,7 @@ def _built(
                 what_is_unseen(liquid, unseen[: 3 if asked.family is None else 2], spread, known),
             ])
         ),
-        scattering=answer, nuisance=off, doubted=doubted,
+        scattering=answer, nuisance=off, doubted=doubted, beyond=max(one.beyond for one in left),
     )  # fmt: skip
     return built, likely_spheres(best, whole, asked, answer, unsure(fit, left, asked, answer))
 

@@ -15,7 +15,7 @@ from tankrig.estimation.phase_answer import Asked, answer_of, is_rough
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import Scattering
 from tankrig.estimation.problem import Evaluation
-from tankrig.estimation.result import DOUBTED
+from tankrig.estimation.result import DOUBTED, UNDESCRIBED
 from tankrig.estimation.series_forward import (
     ModelOf,
     low_orders_model,
@@ -120,7 +120,8 @@ def determined_by(answer: Scattering, spread: Array, left: Sequence[Left], asked
 
 def leaves_much(left: Sequence[Left], asked: Asked) -> bool:
     """Whether Henyey–Greenstein, or a free phase function, leaves so much that the liquid may have another one."""
-    return (asked.family is None or asked.is_free) and max(one.beyond for one in left) > DOUBTED
+    enough = DOUBTED if asked.family is None else UNDESCRIBED
+    return (asked.family is None or asked.is_free) and max(one.beyond for one in left) > enough
 
 
 def unsure(fit: Fit, left: Sequence[Left], asked: Asked, answer: Scattering) -> bool:

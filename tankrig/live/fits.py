@@ -30,6 +30,9 @@ from tankrig.scene.phase_table import PhaseFunction
 
 Told = Callable[[str], None]
 
+BY_EDGES = 0.02
+"""Structure, as a share of an image, that a series which ends beyond its models' boxes may have from being answered at
+their edges: 1 to 2 % where one of three doses is a fifth thinner than they reach. More is another phase function's."""
 NEARLY = 0.3
 """Differences of log σt, albedo and g from a box's edge, added up, within which a series' search stays at the edge."""
 
@@ -138,9 +141,9 @@ def fit_all(
 
     `progress` is told in a few words what is being done; what it raises ends the fit. Of phase functions but
     Henyey–Greenstein's models must be prepared for any. A series that ends beyond their boxes, as of ink thinner than
-    models are prepared for, is gone on with by the tank model there; not where the ink may well have another phase
-    function than was fitted, which leads beyond them by itself: an emulsion's on a bench of glass followed light paths
-    for more than eight minutes, and determined nothing.
+    models are prepared for, is gone on with by the tank model there; not where it leaves so much that the ink has
+    another phase function than was fitted, which leads beyond them by itself: an emulsion's on a bench of glass
+    followed light paths for more than eight minutes, and determined nothing.
 
     Raises
     ------
@@ -167,7 +170,7 @@ def fit_all(
         )
 
     found = fitted(start, nearly_within(prepared) if prepared else None)
-    if not found.doubted and not _held(found, photographs, prepared):
+    if found.beyond < BY_EDGES and not _held(found, photographs, prepared):
         found = fitted(found, prepared_model(prepared))
     return SeriesFit(
         doses_ml=tuple(sorted({one.dose_ml for one in photographs})), ink=found.ink, water=found.water,
