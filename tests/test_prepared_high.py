@@ -295,7 +295,7 @@ def test_behind_glass_a_medium_nearby_is_made_right_by_few_lattices(prepared: Hi
 def test_no_more_lattices_are_followed_than_are_asked_for(
     prepared: HighAnswer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of images that hold much besides noise, whatever noise that leaves."""
+    """They do where images hold much besides noise, however much that leaves."""
     monkeypatch.setattr(checked, "FEWEST", 16)
     monkeypatch.setattr(checked, "NEAR", 8)
     behind_glass = replace(prepared, sampling=PathImages(GLASS, prepared.sampling.albedos))

@@ -95,7 +95,7 @@ def test_noise_of_paths_that_looks_like_more_ink_adds_its_square_to_the_variance
 
 
 def test_where_images_seem_to_tell_too_much_a_fit_is_over_as_much_sooner() -> None:
-    """The floor of an emulsion's bench was fitted along anew for 340 CPU s and more, for changes of the cost by 2 where
+    """The floor of an emulsion's bench was fitted along anew for 534 CPU s, for changes of the cost by 2 where
     phase functions were held 3,500 times as firmly."""
     _, weight = fitted(0.06)
     end, _ = fitted(0.06, weight)

@@ -86,7 +86,9 @@ def by_prepared(
     if family is not None and family.ladder.size:
         best, moved = by_ladder(best, family, weight * MANY_ENOUGH, PREPARED_STEPS)
     best, versions, unsettled = by_centres(best, shots, versions, weight)
-    versions = _by_enough_paths(best, versions, weight > STRUCTURED)
+    structured = weight > STRUCTURED
+    if len(shots) == 1 or structured:  # several images without structure are made right by as many paths everywhere
+        versions = _by_enough_paths(best, versions, structured)
     last = accurate_problem(best.problem, shots, best, versions)
     best = solve(last, best.coordinates, weight * MANY_ENOUGH, FINE_STEPS, damping=0.0)
     return best, versions, unsettled if moved is None else moved
@@ -99,7 +101,7 @@ def made_right_at(shot: Shot, medium: Medium, _times: float) -> Prediction:
 
 
 def share_by_paths(best: Evaluation, patterns: Sequence[Image], structured: bool = False) -> float:
-    """What noise of light paths adds to the variance of σs, of what the camera's noise and priors leave of it.
+    """What noise of light paths adds to the variance of σs, of what noise of the camera, priors and structure leave.
 
     Parameters
     ----------
@@ -123,7 +125,9 @@ def _by_enough_paths(best: Evaluation, versions: Versions, structured: bool) -> 
     """Models made right where they are by more lattices of light paths, one image's by `MORE`, where noise of fewer
     tells."""
     prepared = [fine for fine, _ in versions if isinstance(fine, WithPrepared)]
-    patterns = [one(one.centre).patterns for one in prepared]
+    if len(prepared) < len(versions):
+        return versions
+    patterns = [one(medium).patterns for one, medium in zip(prepared, best.media, strict=True)]
     told = [one for one in patterns if one is not None]
     if len(told) < len(versions) or share_by_paths(best, told, structured) < TELLING:
         return versions

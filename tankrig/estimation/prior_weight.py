@@ -34,7 +34,7 @@ def believing(problem: Problem, weight: float) -> Problem:
 
 
 def weight_in(problem: Problem) -> float:
-    """How firmly that is; 1 where no phase function is searched."""
+    """How firmly a problem expects phase functions to be smooth; 1 where it searches none."""
     return max((one.weight for one in problem.blocks if isinstance(one, PhaseBlock)), default=1.0)
 
 

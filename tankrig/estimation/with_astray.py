@@ -61,7 +61,7 @@ def along_from(
 def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
     """The fit with what may go astray in each image; patterns follow the liquid, so it is repeated."""
     best, none = fit.optimum, np.zeros(len(astray[0].sd))
-    more = weight_in(best.problem)
+    firmly = weight_in(best.problem)
     views = best.problem.views
     before = tuple(block for block in best.problem.blocks if not isinstance(block, AstrayBlock))
     begun = len(before) < len(best.problem.blocks)  # by `astray_from`, with sizes as the last coordinates
@@ -76,8 +76,8 @@ def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
         sensitivity, believed = problem.at(at).sensitivity, problem.believed(block)
         noise, errors = [view.observation.noise for view in views], [view.error for view in views]
         weight = overconfidence(sensitivity, believed, noise, errors)
-        best = polish(replace(problem, blocks=(*before, replace(block, weight=weight))), at, more)
+        best = polish(replace(problem, blocks=(*before, replace(block, weight=weight))), at, firmly)
         at = best.coordinates
-        if abs(cost - best.cost) < more * SETTLED:
+        if abs(cost - best.cost) < firmly * SETTLED:
             break
     return replace(fit, optimum=best)

@@ -31,8 +31,9 @@ from tankrig.scene.phase_table import PhaseFunction
 Told = Callable[[str], None]
 
 BY_EDGES = 0.02
-"""Structure, as a share of an image, that a series which ends beyond its models' boxes may have from being answered at
-their edges: 1 to 2 % where one of three doses is a fifth thinner than they reach. More is another phase function's."""
+"""Structure, as a share of an image, that a Henyey–Greenstein series beyond its models' boxes may have from being
+answered at their edges: 1 to 2 % where one of three doses is a fifth thinner than they reach. More is another phase
+function's."""
 NEARLY = 0.3
 """Differences of log σt, albedo and g from a box's edge, added up, within which a series' search stays at the edge."""
 
@@ -170,7 +171,8 @@ def fit_all(
         )
 
     found = fitted(start, nearly_within(prepared) if prepared else None)
-    if found.beyond < BY_EDGES and not _held(found, photographs, prepared):
+    another = found.doubted and found.beyond > BY_EDGES
+    if not another and not _held(found, photographs, prepared):
         found = fitted(found, prepared_model(prepared))
     return SeriesFit(
         doses_ml=tuple(sorted({one.dose_ml for one in photographs})), ink=found.ink, water=found.water,
