@@ -30,7 +30,7 @@ from tankrig.estimation.phase_answer import (
     likely_spheres,
     liquid_blocks,
 )
-from tankrig.estimation.phase_average import LikelySpheres
+from tankrig.estimation.phase_average import AS_WELL, FOLLOWED, LikelySpheres
 from tankrig.estimation.phase_doubt import PhaseTold, told_early
 from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.residual import WHOLE, structure_map
@@ -77,11 +77,6 @@ FAR_MORE, NEARLY_ALL = 0.5, 0.9
 """Share of what Henyey–Greenstein's leaves, squared, that a fit of other phase functions has to explain at least which
 was begun from anywhere, and more than any other cause does; and share that such a cause has to explain, or that is
 tried. An emulsion of σs .05 looked like uneven ink, which explained two thirds."""
-AS_WELL = 1.002
-"""Share of what a free phase function leaves that spheres may leave: it follows noise with its seventeen numbers."""
-FOLLOWED = 0.5
-"""Share of the model's own error, squared, that it may follow too: free beads of .5 µm left .7 % less than spheres did,
-which cost less, priors included, and were right."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
 COMMON_FLOOR = 0.04

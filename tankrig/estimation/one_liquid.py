@@ -6,22 +6,22 @@ import numpy as np
 
 from tankrig.estimation.astray import Astray
 from tankrig.estimation.coordinates import Range
-from tankrig.estimation.estimate import AS_WELL, nuisances_of
+from tankrig.estimation.estimate import nuisances_of
 from tankrig.estimation.fitting import fitted
 from tankrig.estimation.left_over import left_over, rms
 from tankrig.estimation.observation import Observation
-from tankrig.estimation.phase_answer import Asked, fit_phase, likely_spheres, liquid_blocks
+from tankrig.estimation.phase_answer import Asked, fit_phase, liquid_blocks
 from tankrig.estimation.phase_average import LikelySpheres
 from tankrig.estimation.result import LiquidEstimate
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import Told
 from tankrig.estimation.several_images import (
     determined_by,
+    likely_in_several,
     models_of_spheres,
     models_of_tank,
     scattering_at,
     spread_at,
-    unsure,
 )
 from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.spheres import spheres
@@ -89,7 +89,7 @@ def fit_liquid(
         progress("fitting spheres")
         asked = Asked(spheres(), near=liquid, likely=likely)
         other = fit_liquid(observations, scenes, scaling, versions, None, progress, asked, astray)
-        if other is not None and other.rmse < AS_WELL * found.rmse:
+        if other is not None and other.scattering is not None and other.scattering.as_well:
             return other
     return found
 
@@ -112,4 +112,4 @@ def _liquid_at(
         determined_by(answer, spread, left, asked, fit), rms(np.array([one.beyond for one in left])), answer,
         nuisances_of(best, whole),
     )  # fmt: skip
-    return found, likely_spheres(best, whole, asked, answer, unsure(fit, left, asked, answer))
+    return found, likely_in_several(fit, left, whole, asked, answer)

@@ -205,7 +205,13 @@ def answer_of(
 
 
 def likely_spheres(
-    best: Evaluation, spread: Array, asked: Asked, answer: Scattering, unsure: bool, anywhere: bool = False
+    best: Evaluation,
+    spread: Array,
+    asked: Asked,
+    answer: Scattering,
+    unsure: bool,
+    anywhere: bool = False,
+    structure: float = 0.0,
 ) -> LikelySpheres | None:
     """Spheres that are worth a fit of their own; None where families are not weighed, or none are.
 
@@ -221,6 +227,8 @@ def likely_spheres(
     anywhere
         Whether spheres are looked for anywhere, where none are likely by what that fit knows and its phase function is
         far from what is expected of smooth ones: what it knows it has from derivatives.
+    structure
+        As for `LikelySpheres`.
     """
     if not asked.averaged or asked.family is None:
         return None
@@ -228,7 +236,7 @@ def likely_spheres(
     beads: tuple[Medium | None, ...] = like_spheres(best, spread, asked.family) if unsure else settled
     if not beads and anywhere and rougher(best.values["phase"], asked.family, FAR):
         beads = (None,)
-    return LikelySpheres(beads, best, spread, asked.family) if beads else None
+    return LikelySpheres(beads, best, spread, asked.family, structure) if beads else None
 
 
 def is_rough(best: Evaluation, asked: Asked) -> bool:

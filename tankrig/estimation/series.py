@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.astray import ASTRAY, Astray
 from tankrig.estimation.coordinates import to_coordinates
-from tankrig.estimation.estimate import AS_WELL, Free, nuisances_of
+from tankrig.estimation.estimate import Free, nuisances_of
 from tankrig.estimation.fitting import fitted
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
 from tankrig.estimation.left_over import Left, left_over, moved_by_halos, rms
@@ -26,7 +26,6 @@ from tankrig.estimation.phase_answer import (
     fit_phase,
     ink_blocks,
     is_rough,
-    likely_spheres,
 )
 from tankrig.estimation.phase_average import LikelySpheres
 from tankrig.estimation.phase_families import Family
@@ -41,13 +40,13 @@ from tankrig.estimation.several_images import (
     determined_by,
     errors_of,
     leaves_much,
+    likely_in_several,
     models_by_scene,
     models_of_spheres,
     models_of_tank,
     observed,
     scattering_at,
     spread_at,
-    unsure,
 )
 from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.spheres import spheres
@@ -209,7 +208,7 @@ def fit_series(
         near = None if one is None else in_tank(one, found.water.sigma_a, float(doses.ml[highest]))
         asked = Asked(spheres(), near=near, likely=likely)
         other = fit_series(observations, scenes, doses, scaling, versions, None, progress, asked, nuisance)
-        if rms(other.rmse / found.rmse) < AS_WELL:
+        if other.scattering is not None and other.scattering.as_well:
             return replace(other, verdict=f"{what_spheres_do()} {other.verdict}")
     return found
 
@@ -258,7 +257,7 @@ def _built(
         ),
         scattering=answer, nuisance=off, doubted=doubted, beyond=max(one.beyond for one in left),
     )  # fmt: skip
-    return built, likely_spheres(best, whole, asked, answer, unsure(fit, left, asked, answer))
+    return built, likely_in_several(fit, left, whole, asked, answer)
 
 
 def _with_water(best: Evaluation, spread: Array, family: Family, answer: Scattering) -> Array:

@@ -11,7 +11,8 @@ from tankrig.estimation.estimate import determined
 from tankrig.estimation.forward import family_models
 from tankrig.estimation.left_over import Left, error_of, spread_of
 from tankrig.estimation.observation import Observation, observe
-from tankrig.estimation.phase_answer import Asked, answer_of, is_rough
+from tankrig.estimation.phase_answer import Asked, answer_of, is_rough, likely_spheres
+from tankrig.estimation.phase_average import LikelySpheres
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import Scattering
 from tankrig.estimation.problem import Evaluation
@@ -124,7 +125,17 @@ def leaves_much(left: Sequence[Left], asked: Asked) -> bool:
     return (asked.family is None or asked.is_free) and max(one.beyond for one in left) > enough
 
 
-def unsure(fit: Fit, left: Sequence[Left], asked: Asked, answer: Scattering) -> bool:
+def likely_in_several(
+    fit: Fit, left: Sequence[Left], spread: Array, asked: Asked, answer: Scattering
+) -> LikelySpheres | None:
+    """Spheres that are worth a fit of their own, see `likely_spheres`."""
+    views = fit.optimum.problem.views
+    held = [view.whitened(one.beyond * np.abs(one.light)) for view, one in zip(views, left, strict=True)]
+    structure = float(sum(one @ one for one in held))
+    return likely_spheres(fit.optimum, spread, asked, answer, _unsure(fit, left, asked, answer), structure=structure)
+
+
+def _unsure(fit: Fit, left: Sequence[Left], asked: Asked, answer: Scattering) -> bool:
     """Whether a free phase function does not describe all images, has not settled, or where several images tell so much
     that a family next to its fit is not known to first order, spheres are most of the answer."""
     mostly = answer.families.get(spheres().name, 0.0) > MOSTLY_SPHERES
