@@ -46,8 +46,10 @@ DETERMINED = 0.2
 DETERMINED_G = 0.1
 """The same for g, absolute."""
 
-PARTS = 4
-"""Parts of an image along each side that are asked whether they agree."""
+PARTS, PARTS_PER_VALUE = 4, 1.5
+"""Parts of an image along each side that are asked whether they agree, and of all of it for each value, where that is
+more: 24 values leave sixteen parts next to nothing to disagree by, and that, times sixteen for what they have taken, is
+3 to 7 times too much. By 36 parts it is .5 to 1.3 times what structure of 1/5 to 1/15 of an image's height does."""
 
 MOSTLY_NOISE = 0.75
 """Share of what changes tell in one direction that may be taken for their noise: more than that, and nobody knows."""
@@ -360,19 +362,20 @@ class Sensitivity:
         return found.covariance(self.widest, self.weight)
 
     def disagreement(self, residual: Array) -> Array:
-        """Scatter (k, k) of J W ε as the parts of the images show it, `PARTS` × `PARTS` of each.
+        """Scatter (k, k) of J W ε as the parts of the images show it: `PARTS` × `PARTS` of each, more for many values.
 
         At the optimum what the parts pull at the values adds up to nothing. How hard they pull against each other tells
         how far the values would move if one part or another were not there, whatever the reason: a model that does not
         hold is wrong in one place otherwise than in the next (the covariance of clusters; Liang & Zeger 1986). Parts in
         the same place of several images count as one, for a camera that is off is so in all.
         """
-        pulls = np.zeros((len(self.widest), PARTS * PARTS))
+        along = max(PARTS, math.ceil(math.sqrt(PARTS_PER_VALUE * len(self.widest))))
+        pulls = np.zeros((len(self.widest), along * along))
         ends = np.cumsum([one.changes.shape[1] for one in self.responses])
         for one, left in zip(self.responses, np.split(residual[: ends[-1]], ends[:-1]), strict=True):
-            row, column = (at * PARTS // count for at, count in zip(np.nonzero(one.used), one.used.shape, strict=True))
+            row, column = (at * along // count for at, count in zip(np.nonzero(one.used), one.used.shape, strict=True))
             for pull, change in zip(pulls, one.changes * left, strict=True):
-                pull += np.bincount(row * PARTS + column, change, PARTS * PARTS)
+                pull += np.bincount(row * along + column, change, along * along)
         count = int(np.any(pulls != 0.0, axis=0).sum())
         return np.asarray(pulls @ pulls.T * (count / max(count - len(self.widest), 1)))
 
