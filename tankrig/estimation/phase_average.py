@@ -8,7 +8,6 @@ made where they are, about which the families are fitted again, and once more (`
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,7 +119,8 @@ def averaged(best: Evaluation, spread: Array, family: Family, exact: Exact | Non
         if exact is None or shares.sum() < SOME:
             break
         place, liquid = _place(found[1:], shares / shares.sum(), family)
-        left, noise = _left_by([exact(liquid, times).image], best), _noise_of(exact, liquid, best)
+        (added,) = best.added
+        left, noise = _left_by([exact(liquid, times).image + added], best), _noise_of(exact, liquid, best)
         score = score.about(place, left, noise)
         found = [freely, *families(score, freely)]
     return replace(together(found), may_peak=may_peak(score, found))
@@ -164,13 +164,11 @@ def _place(found: Sequence[Weighed], shares: Array, family: Family) -> tuple[Arr
 
 
 def _left_by(images: Sequence[Image], best: Evaluation) -> Array:
-    """(n,) what an image of each view leaves, whitened."""
-    return best.problem.by([partial(_always, image) for image in images]).at(best.coordinates).left
-
-
-def _always(image: Image, _: Medium) -> Image:
-    """An image as a model that answers so for every medium."""
-    return image
+    """(n,) what an image of each view leaves, whitened; with all light in it, a floor's and a halo's too."""
+    views, models = best.problem.views, best.problem.whitened(images)
+    gain, offsets = best.problem.scale(models)
+    parts = zip(views, models, offsets, strict=True)
+    return np.concatenate([view.observed - gain * model - offset * view.one for view, model, offset in parts])
 
 
 def _noise_of(exact: Exact, liquid: Medium, best: Evaluation) -> Array:
