@@ -356,8 +356,8 @@ def test_parts_of_an_image_that_disagree_widen_the_errors() -> None:
 
 @pytest.mark.parametrize("count", [6, 16, 20, 24])
 def test_what_parts_disagree_by_is_as_true_of_many_values(count: int) -> None:
-    """A free phase function's seventeen shapes had left so few of sixteen parts free that errors were 2 to 3 times too
-    large, and images of a bench seemed to tell 5 to 8 times too little."""
+    """A free phase function's seventeen shapes had left so few of sixteen parts free that errors were two to three
+    times too large."""
     rng, shape = np.random.default_rng(3), (48, 72)
 
     def smooth(width: float, many: int) -> np.ndarray:

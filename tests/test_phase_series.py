@@ -111,7 +111,7 @@ def test_beads_that_nobody_named_are_found_in_a_series(diameter_um: float) -> No
 
 
 def test_spheres_are_found_on_a_bench_whose_structure_a_free_phase_function_follows() -> None:
-    """By .07 of what they left they were refused, and what was free determined nothing, ± 13 %."""
+    """They were refused for leaving .07 more than what was free, which knew σs to 13 %."""
     truth = Mie(0.25, 1.465, 1.333, 532.0, 0.35)
     found = series_of(truth, "any", fault=0.003, share=0.0005)
     assert found.beyond > 0.002

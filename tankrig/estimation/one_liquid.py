@@ -89,7 +89,7 @@ def fit_liquid(
         progress("fitting spheres")
         asked = Asked(spheres(), near=liquid, likely=likely)
         other = fit_liquid(observations, scenes, scaling, versions, None, progress, asked, astray)
-        if other is not None and other.scattering is not None and other.scattering.as_well:
+        if other is not None and other.scattering is not None and other.scattering.explains_as_well:
             return other
     return found
 

@@ -205,14 +205,9 @@ def answer_of(
 
 
 def likely_spheres(
-    best: Evaluation,
-    spread: Array,
-    asked: Asked,
-    answer: Scattering,
-    unsure: bool,
-    anywhere: bool = False,
+    best: Evaluation, spread: Array, asked: Asked, answer: Scattering, unsure: bool, anywhere: bool = False,
     structure: float = 0.0,
-) -> LikelySpheres | None:
+) -> LikelySpheres | None:  # fmt: skip
     """Spheres that are worth a fit of their own; None where families are not weighed, or none are.
 
     Parameters

@@ -90,9 +90,9 @@ class LikelySpheres:
         left = _left_by(best.images, self.freely)
         liquid = Medium(float(coefficients[0]), float(coefficients[1]), phase=phase)
         found = about_spheres(score.about(place, left, np.zeros((0, left.size))), liquid, own)
-        return replace(together(found), beads=None, as_well=self._as_well(left))
+        return replace(together(found), beads=None, explains_as_well=self._explain_as_well(left))
 
-    def _as_well(self, left: Array) -> bool:
+    def _explain_as_well(self, left: Array) -> bool:
         """Whether images that leave (n,) so much explain what was seen as well as the free phase function's do."""
         freely = self.freely.left
         return float(left @ left) < AS_WELL**2 * float(freely @ freely) + FOLLOWED * self.structure
@@ -165,10 +165,8 @@ def _place(found: Sequence[Weighed], shares: Array, family: Family) -> tuple[Arr
 
 def _left_by(images: Sequence[Image], best: Evaluation) -> Array:
     """(n,) what an image of each view leaves, whitened; with all light in it, a floor's and a halo's too."""
-    views, models = best.problem.views, best.problem.whitened(images)
-    gain, offsets = best.problem.scale(models)
-    parts = zip(views, models, offsets, strict=True)
-    return np.concatenate([view.observed - gain * model - offset * view.one for view, model, offset in parts])
+    models = best.problem.whitened(images)
+    return best.problem.left_by(models, *best.problem.scale(models))
 
 
 def _noise_of(exact: Exact, liquid: Medium, best: Evaluation) -> Array:

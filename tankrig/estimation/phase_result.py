@@ -82,7 +82,7 @@ class Scattering:
         mean cosine are those of what is smooth there, and `outside_cone` is known.
     beads
         The liquid as spheres alone, where these are likelier than all else and it is hardly off them; else None.
-    as_well
+    explains_as_well
         Of spheres that were fitted since a free phase function's fit made them likely: whether they explain what was
         seen as well as that does.
     """
@@ -98,7 +98,7 @@ class Scattering:
     beta: PhaseCurve | None = None
     may_peak: bool = False
     beads: Medium | None = None
-    as_well: bool = True
+    explains_as_well: bool = True
 
 
 def scattering_of(coefficients: Array, coordinates: Array, spread: Array, family: Family) -> Scattering:

@@ -167,6 +167,11 @@ class Problem:
         """The best gain for all whitened models, and the best offset of each image."""
         return self.scaling.solve(models, [view.one for view in self.views], [view.observed for view in self.views])
 
+    def left_by(self, models: Sequence[Array], gain: float, offsets: Sequence[float]) -> Array:
+        """(n,) observed less whitened models, one image after the other."""
+        parts = zip(self.views, models, offsets, strict=True)
+        return np.concatenate([view.observed - gain * model - offset * view.one for view, model, offset in parts])
+
     def whitened(self, images: Sequence[Image]) -> list[Array]:
         """Used pixels of an image of each view, in standard deviations."""
         return [view.whitened(image) for view, image in zip(self.views, images, strict=True)]
@@ -296,9 +301,7 @@ class Evaluation:
     @cached_property
     def left(self) -> Array:
         """(n,) observed less fitted, whitened, one image after the other."""
-        gain, offsets = self.scale
-        parts = zip(self.problem.views, self.models, offsets, strict=True)
-        return np.concatenate([view.observed - gain * model - offset * view.one for view, model, offset in parts])
+        return self.problem.left_by(self.models, *self.scale)
 
     @cached_property
     def residual(self) -> Array:

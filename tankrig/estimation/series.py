@@ -208,7 +208,7 @@ def fit_series(
         near = None if one is None else in_tank(one, found.water.sigma_a, float(doses.ml[highest]))
         asked = Asked(spheres(), near=near, likely=likely)
         other = fit_series(observations, scenes, doses, scaling, versions, None, progress, asked, nuisance)
-        if other.scattering is not None and other.scattering.as_well:
+        if other.scattering is not None and other.scattering.explains_as_well:
             return replace(other, verdict=f"{what_spheres_do()} {other.verdict}")
     return found
 

@@ -49,7 +49,8 @@ DETERMINED_G = 0.1
 PARTS, PARTS_PER_VALUE = 4, 1.5
 """Parts of an image along each side that are asked whether they agree, and of all of it for each value, where that is
 more: 24 values leave sixteen parts next to nothing to disagree by, and that, times sixteen for what they have taken, is
-3 to 7 times too much. By 36 parts it is .5 to 1.3 times what structure of 1/5 to 1/15 of an image's height does."""
+3 to 7 times too much. By 36 parts it is .5 to 1.3 times what noise does that Gaussians of 1/32 to 1/10 of an image's
+height have smoothed."""
 
 MOSTLY_NOISE = 0.75
 """Share of what changes tell in one direction that may be taken for their noise: more than that, and nobody knows."""
