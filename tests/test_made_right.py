@@ -56,6 +56,7 @@ def led(
     sd: float = 1e-9,
     weight: float = 1.0,
     roughly: list[bool] | None = None,
+    suffices: Callable[[Any], bool] | None = None,
 ) -> tuple[Place, Any, list[float], float]:
     """The end of a fit from 0 that derivatives lead by so much at a place where nothing is held, or shapes are held so
     closely; by how much it was still to be corrected; how closely shapes were held each time; and how far from the
@@ -63,9 +64,9 @@ def led(
     held: list[float] = []
     asked: list[bool] = [] if roughly is None else roughly
 
-    def made_right(_: object, best: Place, by_few: bool = False) -> list[Place]:
+    def made_right(_: object, best: Place, by_few: bool = False) -> list[tuple[Place, None]]:
         asked.append(by_few)
-        return [best]
+        return [(best, None)]
 
     def solved(problem: Valley, start: np.ndarray, *_: object, **__: object) -> Place:
         close = problem.close[1] if problem.close else 0.0
@@ -84,11 +85,12 @@ def led(
     monkeypatch.setattr(by_prepared, "whole_step", lambda ahead: np.array([promise(float(ahead.coordinates[0]), 0.0)]))
     monkeypatch.setattr(by_prepared, "costs_more", lambda ahead, centre, *_: ahead.cost > centre.cost + 3.0)
     monkeypatch.setattr(
-        by_prepared, "are_foretold", lambda there, before: abs(float((there[0].row - before[0].row)[0])) < 0.02
+        by_prepared, "are_foretold", lambda there, before: abs(float((there[0][0].row - before[0][0].row)[0])) < 0.02
     )
     start = Valley().at(np.zeros(1))
-    end, _, moved = by_prepared.by_centres(cast(Any, start), [], cast(Any, [Valley().at(np.full(1, -1.0))]), weight)
-    return cast(Any, end), moved, held, max(gone_on)
+    before = [(Valley().at(np.full(1, -1.0)), None)]
+    ended = by_prepared.by_centres(cast(Any, start), [], cast(Any, before), weight, suffices)
+    return cast(Any, ended.best), ended.moved, held, max(gone_on)
 
 
 def test_a_fit_whose_derivatives_promise_too_much_gets_there_in_shorter_ways(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -157,3 +159,19 @@ def test_a_fit_that_shapes_held_keep_from_moving_has_not_settled(monkeypatch: py
     assert len(held) > 1
     assert abs(float(end.coordinates[0]) - 1.0) < 0.05
     assert moved is None
+
+
+def test_a_fit_ends_at_the_first_place_that_tells_what_is_fitted_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a bench each place takes minutes, and a free phase function's seventeen numbers follow structure at each: an
+    emulsion's σs was 4.7 % too large after the last of twelve, though the first had told of spheres."""
+    seen: list[float] = []
+
+    def suffices(fit: Any) -> bool:
+        seen.append(float(fit.optimum.coordinates[0]))
+        return len(seen) == 2
+
+    end, moved, held, _ = led(monkeypatch, lambda at, _: 0.5 * (1.0 - at), suffices=suffices)
+    assert len(held) == 2
+    assert seen[1] == float(end.coordinates[0])
+    assert moved is not None
+    assert float(moved[0]) == pytest.approx(seen[1] - seen[0])

@@ -2,11 +2,14 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from tankrig.estimation import series
 from tankrig.estimation.observation import observe
 from tankrig.estimation.one_liquid import fit_liquid
 from tankrig.estimation.phase_answer import asked_for
@@ -140,6 +143,24 @@ def test_spheres_that_leave_more_than_a_bench_does_are_refused() -> None:
     assert "fitting spheres" in told
     assert found.scattering is not None
     assert "spheres" not in found.scattering.families
+
+
+def test_a_fit_that_ended_early_for_spheres_goes_on_where_they_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or a liquid of another kind would be answered by a fit that had not come to its end."""
+    whole, begun = series.fit_phase, []
+
+    def ends_early(shots: Any, asked: Any, *rest: Any, **more: Any) -> Any:
+        begun.append(asked)
+        return replace(whole(shots, asked, *rest, **more), early=asked.is_free and asked.near is None)
+
+    monkeypatch.setattr(series, "fit_phase", ends_early)
+    told: list[str] = []
+    found = series_of(TwoTerm(0.85, -0.3, 0.93), "any", fault=0.01, share=0.0005, progress=told.append)
+    assert told.count("fitting spheres") == 1
+    assert "going on with any phase function" in told
+    assert begun[-1].averaged
+    assert "spheres" not in found.scattering.families
+    assert abs(found.ink.sigma_s - 0.005) < 3.0 * math.sqrt(found.covariance[1, 1])
 
 
 def test_beads_that_nobody_named_are_found_by_several_pictures_of_one_dose() -> None:

@@ -149,8 +149,10 @@ def test_the_projector_s_screen_is_chosen_in_the_rig_file(tmp_path):
 
 
 NEEDED_LATER = ("numba", "scipy", "matplotlib", "cv2", "zarr", "xarray", "tomlkit", "yaml", "pandas", "dask")
+HANGS_S = 100
 FIRST_PICTURE = """
-import sys
+import faulthandler, sys
+faulthandler.dump_traceback_later(int(sys.argv[3]), exit=True)  # a window that hangs says where
 if __name__ == "__main__":
     from ui.cli import main
     from ui.window import app
@@ -192,8 +194,8 @@ def test_the_first_picture_waits_for_no_library_that_it_does_not_need(tmp_path):
     """Half a second of numba before the camera's picture, only to say that no fit goes on."""
     (tmp_path / "start.py").write_text(FIRST_PICTURE)
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
-    command = [sys.executable, str(tmp_path / "start.py"), str(tmp_path), ",".join(NEEDED_LATER)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
+    command = [sys.executable, str(tmp_path / "start.py"), str(tmp_path), ",".join(NEEDED_LATER), str(HANGS_S)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=2 * HANGS_S)
     assert done.returncode == 0, done.stderr
     assert "imported:" in done.stdout, done.stderr
     assert done.stdout.split("imported:")[1].split() == []

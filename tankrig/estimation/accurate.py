@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from tankrig.estimation.astray import AstrayBlock
 from tankrig.estimation.followed import Model
 from tankrig.estimation.light_beside import is_solved
 from tankrig.estimation.prior_weight import weight_of_priors
@@ -10,6 +11,7 @@ from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.shots import Shot, weighed_problem
 from tankrig.estimation.versions import image_of, is_noisy
 from tankrig.estimation.with_prepared import fine_slopes_together, told_together
+from tankrig.prediction import Prediction
 
 Versions = list[tuple[Model, Model]]
 """A model for each image, and the one whose derivatives are taken."""
@@ -36,9 +38,10 @@ def accurate_problem(
     """The problem of accurate models, whose errors count as they are at some place.
 
     If `rough`, derivatives are as accurate as the image that they are of, where that costs less: of orders that are
-    solved for, or by a family's coordinates.
+    solved for, or by a family's coordinates. What may go astray and is fitted along has its patterns there.
     """
     seen = [fine(liquid) for (fine, _), liquid in zip(versions, near.media, strict=True)]
+    problem = _with_astray_at(problem, near, seen)
     if not rough:
         fine_slopes_together([slope for _, slope in versions], near.media)
     forwards = [image_of(fine) for fine, _ in versions]
@@ -49,9 +52,23 @@ def accurate_problem(
     slopes = [shot.slopes_of(model) for shot, model in zip(shots, differentiated, strict=True)]
     quick = all(shot.models.quick(model) for shot, model in zip(shots, differentiated, strict=True))
     slow = any(shot.models.prepares for shot in shots)
-    weighed = weighed_problem(problem, shots, forwards, slopes, seen, near.added)
+    weighed = weighed_problem(problem, shots, forwards, slopes, seen, problem.at(near.coordinates).added)
     noisy = any(is_noisy(shot.models, model) for shot, model in zip(shots, differentiated, strict=True))
     return replace(weighed, quick=quick, slow=slow, noisy=noisy)
+
+
+def _with_astray_at(problem: Problem, near: Evaluation, seen: Sequence[Prediction]) -> Problem:
+    """The problem with patterns of what may go astray as they are at a place, of which images are given.
+
+    A floor's light at a bench's first guess, a tenth of what is seen of a thin dose, was so far from that of the place
+    where the fit had ended that a third of what was left there was nothing else; seventeen shapes had followed it.
+    """
+    images = [one.image for one in seen]
+    blocks = tuple(
+        one.at(near.media, images, near.values[one.name]) if isinstance(one, AstrayBlock) else one
+        for one in problem.blocks
+    )
+    return replace(problem, blocks=blocks)
 
 
 def smoothness_at(shots: Sequence[Shot], best: Evaluation, versions: Versions) -> float:

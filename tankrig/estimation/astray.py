@@ -4,7 +4,7 @@ Each changes the image by a pattern of its own, times its size: nearly so even w
 that goes astray twice is faint. So sizes are fitted along linearly.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -147,6 +147,13 @@ class AstrayBlock(Block):
     def prior_weight(self) -> Array:
         """As given."""
         return self.weight
+
+    def at(self, media: Sequence[Medium], images: Sequence[Image], sizes: Array) -> "AstrayBlock":
+        """The same with the patterns of each image's liquid and its image, at sizes in standard deviations."""
+        of_each = zip(self.astray, media, images, strict=True)
+        return replace(
+            self, astray=tuple(replace(one, quick=False).at(medium, image, sizes) for one, medium, image in of_each)
+        )
 
     def added_in(self, view: int, values: Values, liquid: Medium) -> Image:
         """Sizes times patterns, as they bend."""

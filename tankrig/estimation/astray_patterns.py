@@ -5,7 +5,7 @@ Per unit of its size, unless it says otherwise, of a scene with the fitted liqui
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -30,6 +30,7 @@ FLOOR_LATTICES = 64
 """Lattices for a floor's pattern at one of the liquids nearby; eight tell how it is otherwise at others. Eight alone
 left ± 6 % over blocks of 50 mm, at all doses alike: σs of a bench with all effects came out 1.8, .8 and .6 % too large
 at three doses, by 64 .4, .6 and .2, and of the thin one was known half as well."""
+WATER = Medium(0.0, 1e-6, 0.0)
 MATT = Face("diffuse", FLOOR)
 """A floor of that reflectance."""
 ROUGH, BATCHES = 0.05, 4
@@ -105,7 +106,7 @@ def wide_lens(scene: Scene, _: Image) -> Array:
 def floor(scene: Scene, image: Image) -> Array:
     """Light by way of a diffuse floor, per unit of its reflectance; of a liquid that is nearly the scene's."""
     nearby = replace(scene, medium=_among(scene.medium, NEAR_SIGMA_T, NEAR_ALBEDO, NEAR_G))
-    return floor_by_few(scene, image) + _more_of_floor(nearby) / FLOOR
+    return floor_by_few(scene, image) + _more_of_floor(_Nearby.of(nearby)) / FLOOR
 
 
 def floor_by_few(scene: Scene, _: Image) -> Array:
@@ -114,9 +115,28 @@ def floor_by_few(scene: Scene, _: Image) -> Array:
     return _by_faces(here, "floor", MATT) / FLOOR
 
 
+@dataclass(frozen=True)
+class _Nearby:
+    """A scene that equals others whose liquids are within the same steps of σt, albedo and g: of any phase function the
+    first that is asked for stands for them, since a fit of one comes to the same liquid again and again."""
+
+    scene: Scene = field(compare=False)
+    others: Scene
+    """With water in place of its liquid."""
+    steps: tuple[int, int, int]
+
+    @classmethod
+    def of(cls, scene: Scene) -> "_Nearby":
+        """A scene."""
+        medium = scene.medium
+        steps = math.log(max(medium.sigma_t, 1e-300)) / NEAR_SIGMA_T, medium.albedo / NEAR_ALBEDO, medium.g / NEAR_G
+        return cls(scene, replace(scene, medium=WATER), (round(steps[0]), math.floor(steps[1]), math.floor(steps[2])))
+
+
 @lru_cache(maxsize=KEPT)
-def _more_of_floor(scene: Scene) -> Array:
+def _more_of_floor(nearby: _Nearby) -> Array:
     """What many lattices show of light by way of a floor that few do not: they err nearly alike at liquids nearby."""
+    scene = nearby.scene
     return _by_faces(scene, "floor", MATT, FLOOR_LATTICES) - _by_faces(scene, "floor", MATT)
 
 

@@ -8,7 +8,7 @@ one before, by models made right at both, is not gone on from.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from tankrig.estimation.optimiser import solve, whole_step
 from tankrig.estimation.prior_weight import believing
 from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.search import by_cost
-from tankrig.estimation.shots import Shot
+from tankrig.estimation.shots import Fit, Shot, Suffices
 from tankrig.estimation.uncertainty import PatternedError, SmoothError
 from tankrig.estimation.with_prepared import WithPrepared, told_together
 from tankrig.light.prepared.phases.checked import MOST
@@ -59,9 +59,32 @@ NOWHERE = 0.05
 were refused, until no centres are left (beads of .5 µm did so five times)."""
 
 
+@dataclass(frozen=True)
+class Ended:
+    """Where a fit by prepared models ended.
+
+    Parameters
+    ----------
+    best
+        The optimum.
+    versions
+        The models there.
+    moved
+        By how much values were still corrected where it has not settled, or differ in another mode of the family that
+        is as likely; else None.
+    early
+        Whether it ended where it sufficed, see `Suffices`.
+    """
+
+    best: Evaluation
+    versions: Versions
+    moved: Vector | None = None
+    early: bool = False
+
+
 def by_prepared(
-    problem: Problem, shots: Sequence[Shot], found: Sequence[Vector]
-) -> tuple[Evaluation, Versions, Vector | None]:
+    problem: Problem, shots: Sequence[Shot], found: Sequence[Vector], suffices: Suffices | None = None
+) -> Ended:
     """The optimum from where a search has ended.
 
     Parameters
@@ -70,28 +93,24 @@ def by_prepared(
         Of the cheap models, and coordinates where a search of it has ended.
     shots
         The images.
-
-    Returns
-    -------
-    Evaluation
-        The optimum.
-    list
-        The models there.
-    numpy.ndarray or None
-        By how much values were still corrected where it has not settled, or differ in another mode of the family that
-        is as likely.
+    suffices
+        Where a fit of images that hold structure ends early, for each of its places takes minutes; None to end where it
+        settles.
     """
     best, versions, weight = _about_search(problem, shots, found)
     family, moved = shots[0].models.family, None
     if family is not None and family.ladder.size:
         best, moved = by_ladder(best, family, weight * MANY_ENOUGH, PREPARED_STEPS)
-    best, versions, unsettled = by_centres(best, shots, versions, weight)
     structured = weight > STRUCTURED
+    ended = by_centres(best, shots, versions, weight, suffices if structured else None)
+    if ended.early:
+        return ended
+    best, versions = ended.best, ended.versions
     if len(shots) == 1 or structured:  # several images without structure are made right by as many paths everywhere
         versions = _by_enough_paths(best, versions, structured)
     last = accurate_problem(best.problem, shots, best, versions)
     best = solve(last, best.coordinates, weight * MANY_ENOUGH, FINE_STEPS, damping=0.0)
-    return best, versions, unsettled if moved is None else moved
+    return Ended(best, versions, ended.moved if moved is None else moved)
 
 
 def made_right_at(shot: Shot, medium: Medium, _times: float) -> Prediction:
@@ -162,10 +181,9 @@ def _about_search(
 
 
 def by_centres(
-    best: Evaluation, shots: Sequence[Shot], versions: Versions, weight: float
-) -> tuple[Evaluation, Versions, Vector | None]:
-    """The last place where models were made right, these models, and where it has not settled by how much values were
-    still to be corrected."""
+    best: Evaluation, shots: Sequence[Shot], versions: Versions, weight: float, suffices: Suffices | None = None
+) -> Ended:
+    """The last place where models were made right."""
     centre: Evaluation | None = None
     close, refused, wanted = CLOSE, 0, np.zeros(0)
     for _ in range(MOST_CENTRES):
@@ -179,18 +197,21 @@ def by_centres(
             settled = foretold and close == 0.0
             centre, versions, close, refused = best, there, 0.0 if foretold else CLOSE, 0
             if settled:
-                return centre, versions, None
+                return Ended(centre, versions)
         near = accurate_problem(best.problem, shots, centre, versions, rough=True)
         centre = replace(near, close=None).at(centre.coordinates)
         held = replace(near, close=(centre.coordinates, close) if close else None)
         best = solve(held, centre.coordinates, weight * MANY_ENOUGH, PREPARED_STEPS, damping=0.0)
         best = centre.problem.at(best.coordinates)
         if not refused and has_settled(centre, best, weight > 1.0):
-            return best, versions, None
+            return Ended(best, versions)
         if refused and abs(centre.cost - best.cost) < NOWHERE * weight:
-            return centre, versions, wanted
+            return Ended(centre, versions, wanted)
+        moved = best.row - centre.row
+        if suffices is not None and suffices(Fit(best, tuple(fine for fine, _ in versions), moved=moved)):
+            return Ended(best, versions, moved, early=True)
     assert centre is not None
-    return centre, versions, best.row - centre.row
+    return Ended(centre, versions, best.row - centre.row)
 
 
 def has_settled(centre: Evaluation, ahead: Evaluation, structured: bool) -> bool:

@@ -14,7 +14,7 @@ from tankrig.estimation.astray import ASTRAY, Astray, AstrayBlock
 from tankrig.estimation.astray_patterns import floor
 from tankrig.estimation.coordinates import Range
 from tankrig.estimation.findings import Findings, findings_of
-from tankrig.estimation.fitting import fitted_on, searched, without_outliers
+from tankrig.estimation.fitting import Ending, fitted_on, searched, without_outliers
 from tankrig.estimation.forward import models_of
 from tankrig.estimation.left_over import Left, left_over, moved_by_halos, rms, stated_errors
 from tankrig.estimation.light_beside import BESIDE, BesideBlock
@@ -217,10 +217,10 @@ def fit_models(
                 liquid = early.liquid
                 other = _further(observation, scene, scaling, models, progress, None, asked.further, None, liquid)
                 return _in_place(other, early.share)
-        fit = fitted_on([shot], looked, progress, sharper=True)
+        fit = fitted_on([shot], looked, progress, Ending(sharper=True))
         fit = fit if beside is None else weighed(fit, beside)
     else:
-        fit = fit_phase([shot], asked, blocks_of, scaling, progress, sharper=not asked.averaged)
+        fit = fit_phase([shot], asked, blocks_of, scaling, progress, ending=Ending(sharper=not asked.averaged))
     if misalignment is not None:
         progress("aligning")
         fit = _aligned(fit, misalignment)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -20,7 +20,7 @@ from tankrig.estimation.prior_weight import believing
 from tankrig.estimation.problem import Evaluation, Problem
 from tankrig.estimation.scaling import Scaling
 from tankrig.estimation.search import RIVAL, Told, by_cost, densities, first_guess, profiled, search
-from tankrig.estimation.shots import Fit, Shot, rough_problem
+from tankrig.estimation.shots import Fit, Shot, Suffices, rough_problem
 from tankrig.estimation.stated_errors import COARSE, stated_error
 from tankrig.scene import Medium
 
@@ -37,6 +37,22 @@ CLEANINGS = 3
 """Times at most that a fit is repeated without the pixels that it shows to be outliers."""
 
 
+@dataclass(frozen=True)
+class Ending:
+    """Where a fit may end.
+
+    Parameters
+    ----------
+    sharper
+        Whether exact images follow more paths where the model's error hides what the images show.
+    suffices
+        Where it ends early, see `by_prepared`; None to go on until it has settled.
+    """
+
+    sharper: bool = False
+    suffices: Suffices | None = None
+
+
 def fitted(
     shots: Sequence[Shot],
     blocks: tuple[Block, ...],
@@ -44,7 +60,7 @@ def fitted(
     progress: Told,
     start: Vector | None = None,
     few: Sequence[int] = (0,),
-    sharper: bool = False,
+    ending: Ending = Ending(),
     starts: Sequence[Vector] | None = None,
 ) -> Fit:
     """From images to the optimum: search with the cheap models, go on with accurate ones, correct by exact images.
@@ -63,8 +79,8 @@ def fitted(
         Coordinates to begin from; None to search everywhere.
     few
         Numbers of the images that the search looks at.
-    sharper
-        Whether exact images follow more paths where the model's error hides what the images show.
+    ending
+        Where it may end.
     starts
         Coordinates that the cheap models' search begins from, in place of a look around.
     """
@@ -76,24 +92,31 @@ def fitted(
         problem, found = searched(shots, blocks, scaling, progress, few)
     else:
         problem, found = rough_problem(shots, blocks, scaling), [start]
-    return fitted_on(shots, (problem, found), progress, sharper)
+    return fitted_on(shots, (problem, found), progress, ending)
 
 
 Searched = tuple[Problem, list[Vector]]
 """The problem of the cheap models, and the ends of a search of it, best first."""
 
 
-def fitted_on(shots: Sequence[Shot], looked: Searched, progress: Told, sharper: bool = False) -> Fit:
+def fitted_on(
+    shots: Sequence[Shot],
+    looked: Searched,
+    progress: Told,
+    ending: Ending = Ending(),
+) -> Fit:
     """The same from where a search has ended."""
     problem, found = looked
     moved: Vector | None = None
+    early = False
     if not all(shot.models.refine for shot in shots):
         progress("fitting all images")
         versions = [(shot.models.coarse, shot.models.coarse) for shot in shots]
         best = by_cost(solve(problem, one, SEVERAL_ENOUGH) for one in found)[0]
     elif any(shot.models.prepares for shot in shots):
         progress("preparing models of what was found")
-        best, versions, moved = by_prepared(problem, shots, found)
+        ended = by_prepared(problem, shots, found, ending.suffices)
+        best, versions, moved, early = ended.best, ended.versions, ended.moved, ended.early
     elif len(shots) > 1 and all(shot.models.family and shot.models.exact for shot in shots):
         # The first exact images lead on from there for less, for they need no paths at each step.
         best = by_cost(problem.at(one) for one in found)[0]
@@ -103,12 +126,12 @@ def fitted_on(shots: Sequence[Shot], looked: Searched, progress: Told, sharper: 
         best, versions = _nearer(problem, shots, found)
     if all(shot.models.exact for shot in shots):
         slopes = [slope for _, slope in versions]
-        fit = corrected_fit(best, shots, slopes, progress, sharper)
-        return in_likeliest_mode(fit, best.problem, shots, slopes, progress, sharper)
+        fit = corrected_fit(best, shots, slopes, progress, ending.sharper)
+        return in_likeliest_mode(fit, best.problem, shots, slopes, progress, ending.sharper)
     noise = [shot.slopes_noise_of(slope) for shot, (_, slope) in zip(shots, versions, strict=True)]
     settled = best.problem.with_slopes_noise(noise).at(best.coordinates)
     exact = partial(made_right_at, shots[0]) if len(shots) == 1 and shots[0].models.prepares else None
-    return Fit(settled, tuple(fine for fine, _ in versions), exact=exact, moved=moved)
+    return Fit(settled, tuple(fine for fine, _ in versions), exact=exact, moved=moved, early=early)
 
 
 def _nearer(problem: Problem, shots: Sequence[Shot], found: Sequence[Vector]) -> tuple[Evaluation, Versions]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.coordinates import Range
-from tankrig.estimation.fitting import fitted, guessed, promising
+from tankrig.estimation.fitting import Ending, fitted, guessed, promising
 from tankrig.estimation.ink_blocks import Doses, DosesBlock, InkBlock
 from tankrig.estimation.parameters import Block, MediumBlock
 from tankrig.estimation.phase_average import LikelySpheres, averaged, like_spheres
@@ -125,7 +125,7 @@ def fit_phase(
     progress: Told,
     few: Sequence[int] = (0,),
     densest: Medium | None = None,
-    sharper: bool = False,
+    ending: Ending = Ending(),  # noqa: B008
 ) -> Fit:
     """Fit coefficients and a family's phase function to images.
 
@@ -140,7 +140,7 @@ def fit_phase(
         Which phase functions are searched.
     blocks_of
         What else is.
-    scaling, progress, few, sharper
+    scaling, progress, few, ending
         As for `fitted`; the last of the few is densest.
     densest
         About what that is; None to look for it.
@@ -149,7 +149,7 @@ def fit_phase(
     blocks = blocks_of(family)
     if asked.near is not None:
         start = np.concatenate([one.start(asked.near) for one in blocks])
-        return fitted(shots, blocks, scaling, progress, start, few, sharper)
+        return fitted(shots, blocks, scaling, progress, start, few, ending)
     at = densest
     if at is None:
         only = None if asked.begin is None else fixed(asked.begin)
@@ -165,7 +165,7 @@ def fit_phase(
         starts += [place(other) for other in family.others(start)]
         rungs = [place(np.concatenate([[rung], start[1:]])) for rung in family.ladder]
         starts += promising(shots, blocks, scaling, rungs, few)[:MOST_RUNGS] if rungs else []
-    return fitted(shots, blocks, scaling, progress, few=few, sharper=sharper, starts=starts)
+    return fitted(shots, blocks, scaling, progress, few=few, ending=ending, starts=starts)
 
 
 def answer_of(

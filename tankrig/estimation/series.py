@@ -7,6 +7,7 @@ gain stays and the ink grows by a known factor.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -16,7 +17,7 @@ from tankrig.errors import ImageError, SceneError
 from tankrig.estimation.astray import ASTRAY, Astray
 from tankrig.estimation.coordinates import to_coordinates
 from tankrig.estimation.estimate import Free, nuisances_of
-from tankrig.estimation.fitting import fitted
+from tankrig.estimation.fitting import Ending, fitted
 from tankrig.estimation.ink_blocks import BendBlock, Doses, in_tank
 from tankrig.estimation.left_over import Left, left_over, moved_by_halos, rms
 from tankrig.estimation.observation import Observation
@@ -47,6 +48,7 @@ from tankrig.estimation.several_images import (
     observed,
     scattering_at,
     spread_at,
+    tells_of_spheres,
 )
 from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.spheres import spheres
@@ -183,6 +185,7 @@ def fit_series(
     astray = [Astray(scene, nuisance) for scene in scenes] if nuisance else []
     ink, water = (start, 0.0) if start is None or isinstance(start, Medium) else (start.ink, start.water.sigma_a)
     highest = doses.ml.size - 1
+    may_be_spheres = asked.averaged and asked.near is None  # and they have not been refused
     few = [doses.of_image.tolist().index(dose) for dose in sorted({0, highest // 2, highest})]
     if asked.family is None:
         blocks, begin = blocks_of(None), None
@@ -196,21 +199,26 @@ def fit_series(
         densest = None if ink is None else in_tank(ink, water, float(doses.ml[highest]))
         if astray and (about := asked.near or densest) is not None:
             blocks_of = along_from(about, asked.family, shots, blocks_of, scaling, astray)
-        fit = fit_phase(shots, asked, blocks_of, scaling, progress, few, densest)
+        ending = Ending(suffices=partial(tells_of_spheres, shots, asked) if may_be_spheres else None)
+        fit = fit_phase(shots, asked, blocks_of, scaling, progress, few, densest, ending)
     fit = with_astray(fit, astray) if astray else fit
     progress("finding the errors")
     found, likely = _built(fit, doses, shots, asked)
-    if likely is None:
+    again = partial(fit_series, observations, scenes, doses, scaling)
+    densest_of = partial(in_tank, dose_ml=float(doses.ml[highest]))
+    if likely is not None and may_be_spheres:
+        versions = models_of_spheres(scenes, models)
+        for one in likely.liquids:
+            progress("fitting spheres")
+            near = None if one is None else densest_of(one, found.water.sigma_a)
+            other = again(versions, None, progress, Asked(spheres(), near=near, likely=likely), nuisance)
+            if other.scattering is not None and other.scattering.explains_as_well:
+                return replace(other, verdict=f"{what_spheres_do()} {other.verdict}")
+    if not fit.early:
         return found
-    versions = models_of_spheres(scenes, models)
-    for one in likely.liquids:
-        progress("fitting spheres")
-        near = None if one is None else in_tank(one, found.water.sigma_a, float(doses.ml[highest]))
-        asked = Asked(spheres(), near=near, likely=likely)
-        other = fit_series(observations, scenes, doses, scaling, versions, None, progress, asked, nuisance)
-        if other.scattering is not None and other.scattering.explains_as_well:
-            return replace(other, verdict=f"{what_spheres_do()} {other.verdict}")
-    return found
+    progress("going on with any phase function")
+    near = densest_of(found.ink, found.water.sigma_a)
+    return again(models, None, progress, replace(asked, near=near), nuisance)
 
 
 def _built(

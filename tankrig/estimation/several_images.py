@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from tankrig.errors import ImageError
 from tankrig.estimation.estimate import determined
 from tankrig.estimation.forward import family_models
-from tankrig.estimation.left_over import Left, error_of, spread_of
+from tankrig.estimation.left_over import Left, error_of, left_over, spread_of
 from tankrig.estimation.observation import Observation, observe
 from tankrig.estimation.phase_answer import Asked, answer_of, is_rough, likely_spheres
 from tankrig.estimation.phase_average import LikelySpheres
@@ -133,6 +133,14 @@ def likely_in_several(
     held = [view.whitened(one.beyond * np.abs(one.light)) for view, one in zip(views, left, strict=True)]
     structure = float(sum(one @ one for one in held))
     return likely_spheres(fit.optimum, spread, asked, answer, _unsure(fit, left, asked, answer), structure=structure)
+
+
+def tells_of_spheres(shots: Sequence[Shot], asked: Asked, fit: Fit) -> bool:
+    """Whether a place that a fit of a free phase function is led to shows spheres that are worth a fit of their own:
+    whether they are the liquid is told by that, and not by a free one's end."""
+    _, _, left = left_over(fit)
+    whole = fit.unsettled(spread_at(fit.optimum, left, shots))
+    return likely_in_several(fit, left, whole, asked, scattering_at(fit.optimum, whole, asked, left)) is not None
 
 
 def _unsure(fit: Fit, left: Sequence[Left], asked: Asked, answer: Scattering) -> bool:

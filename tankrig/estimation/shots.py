@@ -1,6 +1,6 @@
 """Images with their models, the problems that they make, and where a fit of them ended."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -85,6 +85,8 @@ class Fit:
         another mode that is as likely; else None.
     exact
         Gives exact images near the optimum for less than others; None where there are none.
+    early
+        Whether it ended where it sufficed, see `Suffices`, before it had settled.
     """
 
     optimum: Evaluation
@@ -92,6 +94,7 @@ class Fit:
     apart: tuple[Image | None, ...] = ()
     moved: NDArray[np.float64] | None = None
     exact: Exact | None = None
+    early: bool = False
 
     def unsettled(self, spread: NDArray[np.float64]) -> NDArray[np.float64]:
         """Covariance of the values with that counted."""
@@ -127,6 +130,10 @@ class Fit:
 
 def _less(forward: Forward, noise: Image) -> Forward:
     return lambda medium: np.asarray(forward(medium) - noise)
+
+
+Suffices = Callable[[Fit], bool]
+"""Whether a place that a fit is led to, by models that were made right near it, suffices for what is done next."""
 
 
 def rough_problem(shots: Sequence[Shot], blocks: tuple[Block, ...], scaling: Scaling, share: float = COARSE) -> Problem:

@@ -68,10 +68,8 @@ def with_astray(fit: Fit, astray: Sequence[Astray]) -> Fit:
     at = best.coordinates if begun else np.concatenate([best.coordinates, none])
     for _ in range(REPEATS):
         cost, media = best.cost, best.media
-        parts = zip(astray, media, views, strict=True)
-        sizes = at[at.size - none.size :]
-        patterns = tuple(one.at(medium, view.forward(medium), sizes) for one, medium, view in parts)
-        block = AstrayBlock(patterns, np.ones(none.size))
+        images = [view.forward(medium) for view, medium in zip(views, media, strict=True)]
+        block = AstrayBlock(tuple(astray), np.ones(none.size)).at(media, images, at[at.size - none.size :])
         problem = replace(best.problem, blocks=(*before, block))
         sensitivity, believed = problem.at(at).sensitivity, problem.believed(block)
         noise, errors = [view.observation.noise for view in views], [view.error for view in views]
