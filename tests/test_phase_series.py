@@ -10,14 +10,18 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from tankrig.estimation import series
+from tankrig.estimation.accurate import accurate_problem
+from tankrig.estimation.astray import Astray, AstrayBlock
 from tankrig.estimation.observation import observe
 from tankrig.estimation.one_liquid import fit_liquid
-from tankrig.estimation.phase_answer import asked_for
+from tankrig.estimation.phase_answer import asked_for, ink_blocks
 from tankrig.estimation.phase_families import free
 from tankrig.estimation.phase_result import ANGLES_DEG, Scattering
 from tankrig.estimation.scaling import Scaling
-from tankrig.estimation.series import SeriesEstimate, estimate_series
+from tankrig.estimation.series import SeriesEstimate, doses_of, estimate_series
 from tankrig.estimation.series_forward import series_models
+from tankrig.estimation.shots import Shot, rough_problem
+from tankrig.estimation.with_astray import astray_from
 from tankrig.scene import Medium
 from tankrig.scene.mie import Mie
 from tankrig.scene.phase_functions import HenyeyGreenstein, Mixture, ReynoldsMcCormick, Tabulated, TwoTerm
@@ -134,6 +138,27 @@ def test_spheres_are_found_with_a_veil_along() -> None:
     off = np.array([*found.ink.coefficients]) - [2e-4, 0.005, truth.mean_cosine]
     assert (np.abs(off) < 3.0 * np.sqrt(np.diag(found.covariance)[:3])).all()
     assert found.ink.sigma_s == pytest.approx(0.005, rel=0.02)
+
+
+def test_what_may_go_astray_is_that_of_the_place_where_models_are_made_right() -> None:
+    """A floor's light as at a bench's first guess was a third of all that was left 3 % of σs away."""
+    doses, first, there = doses_of(DOSES_ML, 0.0, 5), Medium(2e-4, 0.004, 0.7), Medium(2e-4, 0.006, 0.5)
+    images, noise = dilution(HenyeyGreenstein(0.5))
+    models = series_models(SCENE, lambda *_: many_turns, None)
+    seen = [observe(image, SCENE.camera.shape, noise, None) for image in images[1:]]
+    shots = [Shot(one, SCENE, models, dose) for dose, one in enumerate(seen)]
+    blocks, scaling = ink_blocks(doses, 100.0)(None), Scaling.given("free", 0.0)
+    astray = [Astray(SCENE, {"veil": 0.01})] * len(shots)
+    begin = np.concatenate([one.start(first) for one in blocks])
+    blocks = astray_from(begin, shots, blocks, scaling, astray)[1]
+    problem = rough_problem(shots, blocks, scaling)
+    near = problem.at(np.concatenate([*(one.start(there) for one in blocks[:-1]), [2.0]]))
+    block = accurate_problem(problem, shots, near, [(many_turns, many_turns)] * len(shots)).blocks[-1]
+    assert isinstance(block, AstrayBlock)
+    for one, medium in zip(block.astray, near.media, strict=True):
+        assert one.patterns is not None
+        image = many_turns(medium).image
+        np.testing.assert_allclose(one.patterns[0], 0.01 * (image.mean() - image))
 
 
 def test_spheres_that_leave_more_than_a_bench_does_are_refused() -> None:

@@ -31,6 +31,7 @@ FLOOR_LATTICES = 64
 left ± 6 % over blocks of 50 mm, at all doses alike: σs of a bench with all effects came out 1.8, .8 and .6 % too large
 at three doses, by 64 .4, .6 and .2, and of the thin one was known half as well."""
 WATER = Medium(0.0, 1e-6, 0.0)
+"""Stands for any liquid where scenes are told apart by all else."""
 MATT = Face("diffuse", FLOOR)
 """A floor of that reflectance."""
 ROUGH, BATCHES = 0.05, 4
