@@ -201,7 +201,8 @@ def fit_series(
             blocks_of = along_from(about, asked.family, shots, blocks_of, scaling, astray)
         ending = Ending(suffices=partial(tells_of_spheres, shots, asked) if may_be_spheres else None)
         fit = fit_phase(shots, asked, blocks_of, scaling, progress, few, densest, ending)
-    fit = with_astray(fit, astray) if astray else fit
+    if astray and not fit.early:  # or the fit of spheres, or its own end, does
+        fit = with_astray(fit, astray)
     progress("finding the errors")
     found, likely = _built(fit, doses, shots, asked)
     again = partial(fit_series, observations, scenes, doses, scaling)
