@@ -60,8 +60,8 @@ def accurate_problem(
 def _with_astray_at(problem: Problem, near: Evaluation, seen: Sequence[Prediction]) -> Problem:
     """The problem with patterns of what may go astray as they are at a place, of which images are given.
 
-    A floor's light at a bench's first guess, a tenth of what is seen of a thin dose, was so far from that of the place
-    where the fit had ended that a third of what was left there was nothing else; seventeen shapes had followed it.
+    A floor's light, a tenth of what is seen of a thin dose, was kept as at a bench's first guess: where its fit had come
+    to, χ² fell by a third when the floor was that of the liquid there, and seventeen shapes had followed the rest.
     """
     images = [one.image for one in seen]
     blocks = tuple(
