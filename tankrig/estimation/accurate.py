@@ -60,8 +60,8 @@ def accurate_problem(
 def _with_astray_at(problem: Problem, near: Evaluation, seen: Sequence[Prediction]) -> Problem:
     """The problem with patterns of what may go astray as they are at a place, of which images are given.
 
-    A floor's light, a tenth of what is seen of a thin dose, was kept as at a bench's first guess: where its fit had come
-    to, χ² fell by a third when the floor was that of the liquid there, and seventeen shapes had followed the rest.
+    A floor's light, a tenth of what is seen of a thin dose, was kept as at a bench's first guess: where the fit had
+    come to, χ² fell by a third when the floor was that of the liquid there, and seventeen shapes had followed the rest.
     """
     images = [one.image for one in seen]
     blocks = tuple(
