@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -126,14 +127,23 @@ class Picture:
 class FrameRenderer:
     """Makes the newest frame of `source` a picture; older ones are let go.
 
+    Parameters
+    ----------
+    source
+        Of frames.
+    shown
+        Called for pictures that wait to be taken, in the thread of its owner; known before there is any, since one that
+        nobody was told of would be the last.
+
     Attributes
     ----------
     pictures
         Where they come out.
     """
 
-    def __init__(self, source: LatestValue[SeenFrame]) -> None:
+    def __init__(self, source: LatestValue[SeenFrame], shown: Callable[[], object]) -> None:
         self.pictures: LatestValue[Picture] = LatestValue()
+        self.pictures.arrived.connect(shown)
         self._source = source
         self._view, self._view_changed = ViewSettings(), False
         self._frame: SeenFrame | None = None

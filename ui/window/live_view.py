@@ -58,8 +58,7 @@ class LiveView(QWidget):
 
     def __init__(self, source: LatestValue[SeenFrame]) -> None:
         super().__init__()
-        self._renderer = FrameRenderer(source)
-        self._renderer.pictures.arrived.connect(self._show)
+        self._renderer = FrameRenderer(source, self._show)
         self._bench: Bench | KnownScenes | None = None
         self._picture: Picture | None = None
         self._levels = (0.0, 65535.0)
