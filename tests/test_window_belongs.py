@@ -25,9 +25,8 @@ from tankrig.run.state import RunState
 from tests import on_page
 from tests import recorded_runs as runs
 from tests.window_rig import until, wait_ms, window_on, write_rig
-from ui.window import frame_renderer, jobs
+from ui.window import jobs
 from ui.window.frame_renderer import FrameRenderer, Picture
-from ui.window.live_view import LiveView
 from ui.window.observed_devices import LatestValue, SeenFrame
 from ui.window.replay import UNKNOWN, Replay
 from ui.window.replay_bar import ReplayBar
@@ -37,7 +36,6 @@ from ui.window.source import Kind, RefitSettings, Source
 from ui.window.source_frame import SourceFrame
 from ui.window.status import RigState, RigStatus
 from ui.window.tank_plot import TankPlot
-from ui.window.threads import OwnedThread
 
 
 @pytest.fixture(scope="module")
@@ -296,27 +294,6 @@ def test_levels_and_counts_beside_a_frame_are_its_own_however_soon_it_came_after
         assert len([one for one in shown if one.frame is frame]) <= 2, "once more, and no more"
     finally:
         renderer.close()
-
-
-def test_a_picture_that_is_ready_at_once_is_shown(window, monkeypatch):
-    """One that was ready before the view listened was never taken, and no later one told of: a window in some hundreds
-    opened without a picture, and stayed so."""
-
-    frames: LatestValue[SeenFrame] = LatestValue()
-
-    class Prompt(OwnedThread):
-        def __init__(self, *its):
-            super().__init__(*its)
-            frames.put(SeenFrame(np.full((20, 30), 100, np.uint16), 4095, CameraSettings(20.0), None))
-            sleep(0.3)  # as where this thread comes first
-
-    monkeypatch.setattr(frame_renderer, "OwnedThread", Prompt)
-    view = LiveView(frames)
-    try:
-        view.set_bench(window.rig.bench)
-        until(lambda: view.displayed, 10.0)
-    finally:
-        view.close_view()
 
 
 def test_a_frame_of_another_source_is_not_shown(window):

@@ -4,22 +4,29 @@ import os
 import subprocess
 import sys
 import threading
+import time
 import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QFileDialog
 
 import drivers.rig
+from tankrig.devices import CameraSettings
 from tankrig.errors import DeviceError, SceneError
 from tests import on_page
 from tests.window_rig import LONG_DOSE, until, window_on, write_rig
+from ui.window import frame_renderer
+from ui.window.live_view import LiveView
 from ui.window.marked_text import MarkedText
+from ui.window.observed_devices import LatestValue, SeenFrame
 from ui.window.rig_file import RigSource
 from ui.window.status import RigState
+from ui.window.threads import OwnedThread
 
 
 def test_it_opens_on_the_simulated_rig_and_says_so(tmp_path):
@@ -46,6 +53,28 @@ def test_the_picture_comes_while_the_doser_still_boots(tmp_path, monkeypatch):
         assert not window.top.run.isEnabled()
         booted.set()
         until(lambda: window.status.state is RigState.IDLE)
+
+
+def test_a_picture_that_is_ready_at_once_is_shown(tmp_path, monkeypatch):
+    """One that was ready before the view listened was never taken, and no later one told of: a window in some hundreds
+    opened without a picture, and stayed so."""
+    frames: LatestValue[SeenFrame] = LatestValue()
+
+    class Prompt(OwnedThread):
+        def __init__(self, *its: Any) -> None:
+            super().__init__(*its)
+            frames.put(SeenFrame(np.full((20, 30), 100, np.uint16), 4095, CameraSettings(20.0), None))
+            time.sleep(0.3)  # as where this thread comes first
+
+    with window_on(tmp_path, None) as window:
+        until(lambda: window.live.displayed)
+        monkeypatch.setattr(frame_renderer, "OwnedThread", Prompt)
+        view = LiveView(frames)
+        try:
+            view.set_bench(window.rig.bench)
+            until(lambda: view.displayed, 10.0)
+        finally:
+            view.close_view()
 
 
 def test_a_doser_that_does_not_answer_is_told_though_the_camera_saw(tmp_path, monkeypatch):
@@ -150,6 +179,7 @@ def test_the_projector_s_screen_is_chosen_in_the_rig_file(tmp_path):
 
 NEEDED_LATER = ("numba", "scipy", "matplotlib", "cv2", "zarr", "xarray", "tomlkit", "yaml", "pandas", "dask")
 HANGS_S = 100
+"""Without a picture, after which the program tells where each of its threads is, and ends."""
 FIRST_PICTURE = """
 import faulthandler, sys
 faulthandler.dump_traceback_later(int(sys.argv[3]), exit=True)  # a window that hangs says where

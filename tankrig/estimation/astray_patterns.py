@@ -128,10 +128,9 @@ class _Nearby:
 
     @classmethod
     def of(cls, scene: Scene) -> "_Nearby":
-        """A scene."""
-        medium = scene.medium
-        steps = math.log(max(medium.sigma_t, 1e-300)) / NEAR_SIGMA_T, medium.albedo / NEAR_ALBEDO, medium.g / NEAR_G
-        return cls(scene, replace(scene, medium=WATER), (round(steps[0]), math.floor(steps[1]), math.floor(steps[2])))
+        """A scene, told by all but its liquid, and by the steps that this is within."""
+        steps = _steps(scene.medium, NEAR_SIGMA_T, NEAR_ALBEDO, NEAR_G)
+        return cls(scene, replace(scene, medium=WATER), steps)
 
 
 @lru_cache(maxsize=KEPT)
@@ -146,11 +145,17 @@ def _among(medium: Medium, step: float, albedo_step: float, g_step: float) -> Me
     Henyey–Greenstein's none does."""
     if medium.phase is not None or medium.sigma_t <= 0.0:
         return medium
-    sigma_t = math.exp(step * round(math.log(medium.sigma_t) / step))
-    albedo = albedo_step * (math.floor(medium.albedo / albedo_step) + 0.5)
-    g = g_step * (math.floor(medium.g / g_step) + 0.5)
+    of_sigma_t, of_albedo, of_g = _steps(medium, step, albedo_step, g_step)
+    sigma_t = math.exp(step * of_sigma_t)
+    albedo, g = albedo_step * (of_albedo + 0.5), g_step * (of_g + 0.5)
     albedo, g = min(albedo, 1.0 - 0.5 * albedo_step), min(g, 1.0 - 0.5 * g_step)
     return Medium((1.0 - albedo) * sigma_t, albedo * sigma_t, g)
+
+
+def _steps(medium: Medium, step: float, albedo_step: float, g_step: float) -> tuple[int, int, int]:
+    """Numbers of the steps of σt's logarithm, albedo and g that a liquid is within."""
+    logarithm = math.log(max(medium.sigma_t, 1e-300))
+    return round(logarithm / step), math.floor(medium.albedo / albedo_step), math.floor(medium.g / g_step)
 
 
 def panes(scene: Scene, _: Image) -> Array:
