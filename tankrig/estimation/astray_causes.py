@@ -12,7 +12,8 @@ from tankrig.estimation.astray_patterns import (
     Pattern,
     black_level,
     blur,
-    floor,
+    blur_of_moved_light,
+    floor_by_few,
     gamma,
     halo,
     other_halo,
@@ -53,6 +54,9 @@ class Sign:
         Whether it takes longer than a fit of a prepared model.
     quick
         A pattern that does for such a fit; None where it is not slow, or where none does.
+    rough
+        A pattern that is nearly the same for a tenth of the time, by which to see whether it is worth a closer look;
+        None where none is.
     asked
         Whether it is looked for in a scene: what a scene describes is no cause, and no halo has another width where
         there is none.
@@ -69,6 +73,7 @@ class Sign:
     described: Callable[[Scene], bool] = lambda _: False
     slow: bool = False
     quick: Pattern | None = None
+    rough: Pattern | None = None
     asked: Callable[[Scene], bool] = lambda _: True
     of_found: bool = False
     of_image: bool = False
@@ -108,10 +113,12 @@ SIGNS: dict[str, Sign] = {
         "blur_mm2",
         described=lambda scene: scene.camera.blur.widest_mm + scene.projector.blur.sigma_mm > 0.0,
         quick=soft_blur,
+        rough=blur_of_moved_light,
         of_image=True,
     ),
     "a wide lens of the projector, sharp at one distance only": Sign(wide_lens, slow=True, asked=_may_be_wide),
-    "light that the floor reflects": Sign(floor, "floor", 1.0, asked=lambda scene: scene.tank.faces.floor.dark),
+    "light that the floor reflects": Sign(
+        floor_by_few, "floor", 1.0, asked=lambda scene: scene.tank.faces.floor.dark),
     "light that the entry pane's outer side reflects": Sign(
         panes, "pane", least=LEAST_PANE, slow=True, asked=lambda scene: scene.tank.faces.entry.dark
     ),

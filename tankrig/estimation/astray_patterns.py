@@ -88,6 +88,27 @@ def _first_order(scene: Scene) -> Array:
     return low_orders(scene, ROUGH, 1)
 
 
+def blur_of_moved_light(scene: Scene, image: Image) -> Array:
+    """Nearly the same in a tenth of the time: order 1 blurred along y by light moved to both sides, across as what is
+    smooth. Of slanted light it is like the other by a cosine of .88 to 1.00; straight light's takes no time."""
+    if scene.camera.kind == "orthographic":
+        return blur(scene, image)
+    aside_mm = math.sqrt(3.0 * BLUR_MM2)  # with a sixth of the light on either side, a Gaussian of that variance
+    sharp = _first_order(scene)
+    asides = sum(_first_order(_moved(scene, by_mm)) for by_mm in (aside_mm, -aside_mm))
+    return np.asarray((asides - 2.0 * sharp) / (6.0 * BLUR_MM2) + soft_blur(scene, image - sharp))
+
+
+def _moved(scene: Scene, by_mm: float) -> Scene:
+    """The scene with its light moved along y."""
+    light = scene.projector
+    beams = tuple(replace(one, y_mm=(one.y_mm[0] + by_mm, one.y_mm[1] + by_mm)) for one in light.beams)
+    position = light.position_mm
+    if position is not None:
+        position = (position[0], position[1] + by_mm, position[2])
+    return replace(scene, projector=replace(light, beams=beams, position_mm=position))
+
+
 def soft_blur(scene: Scene, image: Image) -> Array:
     """What is smooth gains by blur, per mm²."""
     sigma_mm = BLUR_PARTS * min(scene.camera.sides_mm)
@@ -213,13 +234,13 @@ def pane_mm(scene: Scene) -> float:
 def _lit_by(scene: Scene, beams: tuple[Beam, ...], smooth: bool = False) -> Array:
     """The image of other beams than a scene's; `smooth` where none of them has an edge inside the tank."""
     from tankrig.light.rays import shift_invariant
-    from tankrig.light.tangent import BY_PATHS, tank_tangent
+    from tankrig.light.tangent import BY_PATHS, tank_steady
     from tankrig.light.tank import tank_image
 
     lit = replace(scene, projector=replace(scene.projector, beams=beams, halo=NO_HALO, black_level=0.0))
     if smooth and scene.tank.faces.dark and not shift_invariant(scene):
         # Order 2 of rays all over the wall that slant took 5 to 19 of 6 to 20 CPU s, and paths show it within 3 %.
-        return np.asarray(tank_tangent(lit, BATCHES, tables=BY_PATHS).prediction.image, float)
+        return np.asarray(tank_steady(lit, BATCHES, tables=BY_PATHS).image, float)
     return np.asarray(tank_image(lit, ROUGH, batches=BATCHES).image, float)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tankrig.errors import SceneError
 from tankrig.estimation.astray import ASTRAY, Astray, AstrayBlock
-from tankrig.estimation.astray_patterns import floor
+from tankrig.estimation.astray_patterns import floor_by_few
 from tankrig.estimation.coordinates import Range
 from tankrig.estimation.findings import Findings, findings_of
 from tankrig.estimation.fitting import Ending, fitted_on, searched, without_outliers
@@ -421,7 +421,7 @@ def _unseen_floor(
         return ""
     (view,) = best.problem.views
     gain, _ = best.scale
-    pattern = gain * floor(replace(scene, medium=medium), left.prediction.image)
+    pattern = gain * floor_by_few(replace(scene, medium=medium), left.prediction.image)
     changes = best.project_out(view.whitened(pattern[None]))[:, : best.left.size]
     moved = moved_unseen(best.sensitivity, changes, COMMON_FLOOR, [left.noise], stated_errors(best, [left]))
     what = f"the floor sent back {100.0 * COMMON_FLOOR:.0f} % of the light"

@@ -160,18 +160,19 @@ def tank_steady(
     tables: float | None = None,
 ) -> Prediction:  # fmt: skip
     """The image of `tank_tangent` without its derivatives."""
+    lowest = 2 if tables == BY_PATHS else 3
     tables = _tables(scene.medium) if tables is None else tables
     behind, highest = BehindLenses(scene), max_order or MOST_ORDERS
     sharp = behind.once([scene.medium])[0]
-    if highest >= 2:
+    if highest >= 2 and lowest == 3:
         sharp = sharp + behind.twice([scene.medium], tables)[0]
-    if highest < 3:
+    if highest < lowest:
         return Prediction(sharp, "tank")
     lit = behind.of_paths
     grid = CellGrid.of(lit)
 
     def followed(number: int) -> Array:
-        limits = PathLimits(highest, FAINTEST, THINNING)
+        limits = PathLimits(highest, FAINTEST, THINNING, lowest=lowest)
         return np.asarray(grid.folded(traced(lit, grid, (seed, number), ONE_BIN, limits, lattice))[0])
 
     with ThreadPoolExecutor(min(THREADS, batches)) as pool:
@@ -248,12 +249,12 @@ def low_orders(
         stepped.append(replace(medium, g=medium.g + turning))
     count = len(stepped)
     ones = behind.once([*stepped, *(Medium(medium.sigma_a, medium.sigma_s, phase=other) for other in others)])
-    # Order 2 of each by itself, for tables of several have the nodes that one of them wants.
     twos, turned = np.zeros((count, *scene.camera.shape)), np.zeros((len(others), *scene.camera.shape))
-    if highest >= 2:
+    if highest >= 2 and medium.phase is None:  # together, for liquids so near have tables of the same nodes
+        twos = behind.twice(stepped, tables)
+    elif highest >= 2:
         here = behind.twice([medium], tables, others)
-        twos = np.array([here[0], *(behind.twice([one], tables)[0] for one in stepped[1:])])
-        turned = here[1:]
+        twos, turned = np.array([here[0], behind.twice(stepped[1:], tables)[0]]), here[1:]
     first, second = ones[0], twos[0]
     image = first + second
     by_absorption = (ones[1] + twos[1] - image) / absorption
