@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tankrig.estimation.astray_patterns import gamma
+from tankrig.estimation.astray_shown import met_by_noise
 from tankrig.estimation.coordinates import Range, to_coordinates
 from tankrig.estimation.differences import Forward, slopes_of
 from tankrig.estimation.fitting import fitted
-from tankrig.estimation.left_over import left_over, met_by_noise, stated_errors
+from tankrig.estimation.left_over import left_over, stated_errors
 from tankrig.estimation.misfit import faults_of, shown
 from tankrig.estimation.observation import observe
 from tankrig.estimation.optimiser import solve, without_noise

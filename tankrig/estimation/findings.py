@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.estimation.astray_causes import SIGNS
-from tankrig.estimation.left_over import Left, Shown, astray_shown, error_of, spread_of
+from tankrig.estimation.astray_shown import Shown, astray_shown
+from tankrig.estimation.left_over import Left, error_of, spread_of
 from tankrig.estimation.phase_answer import Asked
 from tankrig.estimation.phase_doubt import Doubt, PhaseTold
 from tankrig.estimation.problem import Evaluation

@@ -1,36 +1,24 @@
-"""What a fit leaves of each image, what that says of the errors of its values, and which light astray it shows."""
+"""What a fit leaves of each image, and what that says of the errors of its values."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.errors import ImageError
-from tankrig.estimation.astray_causes import SIGNS, causes
-from tankrig.estimation.found_optics import as_found
-from tankrig.estimation.light_beside import sizes_along
-from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen, shown
+from tankrig.estimation.misfit import STRAY, faults_of, halos_of, moved_by_faults, moved_unseen
 from tankrig.estimation.observation import Observation, structure
 from tankrig.estimation.problem import Evaluation
-from tankrig.estimation.residual import ALIKE, COUNTED
 from tankrig.estimation.shots import Fit
 from tankrig.estimation.stated_errors import smooth_error_map, stated_error
 from tankrig.estimation.uncertainty import ModelError, PatternedError, SmoothError
-from tankrig.estimation.verdict import TELLING_MOVE
 from tankrig.prediction import Prediction
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
-
-TOLD = 2.5
-"""Standard deviations of its size from which on a cause is named where the residual is no more than noise. By chance
-3 % of images show one of eight causes so; at 2 it would be 9 %, at 3 .7 %."""
-WORTH_A_LOOK = 1.25
-"""Standard deviations by a rough pattern from which on a cause is looked at by its own. Patterns alike by a cosine of
-.88 differ by half a standard deviation of chance, so that 2 % of the causes that are just told stay unseen."""
 
 
 @dataclass(frozen=True)
@@ -170,42 +158,6 @@ def moved_by_halos(best: Evaluation, left: Sequence[Left]) -> Array:
     return moved_unseen(best.sensitivity, halos, STRAY, [one.noise for one in left], stated_errors(best, left))
 
 
-def met_by_noise(best: Evaluation, left: Left, changes: Array, gained: Callable[[Image, Image], Array]) -> Array:
-    """Products of faults with a residual that noise of the model's image makes by being in both.
-
-    Faults c are made of the fitted image m + e, which the residual y − m − e has as well: ⟨c · residual⟩ has −⟨Δc · e⟩
-    where no fault is, Δc being what e changes of c. And e draws a free gain, see `Scaling.drawn`. In images that light
-    paths' noise dominates, blur was named by three standard deviations that way.
-
-    Parameters
-    ----------
-    best, left
-        Of the fit of one image.
-    changes
-        (faults, n) whitened, with all that a gain could make of them.
-    gained
-        From the image and noise, in units of the fitted light, to what faults gain by that noise.
-
-    Returns
-    -------
-    (faults,) array.
-    """
-    (view,), gain, scaling = best.problem.views, best.scale[0], best.problem.scaling
-    found, squared, pixels = np.zeros(len(changes)), 0.0, best.left.size
-    for noise in left.own:
-        whole = view.whitened(noise)
-        kept = best.project_out(whole[None])[0, :pixels]
-        found -= view.whitened(gained(left.smooth, noise)) @ kept
-        squared += float(whole @ whole)
-    if squared > 0.0 and scaling.free_gain:
-        models, ones = [gain * model for model in best.models], [view.one]
-        values = np.array([best.sensitivity.step(one) for one in best.project_out(changes)[:, :pixels]])
-        # What values have followed, the residual shows no more.
-        found += scaling.drawn(changes, models, ones, squared)
-        found -= values @ scaling.drawn(best.changes_at(gain), models, ones, squared)
-    return found
-
-
 def stated_errors(best: Evaluation, left: Sequence[Left]) -> list[ModelError]:
     """What models state of their errors, as covariances count them: noise of light paths by its patterns.
 
@@ -224,111 +176,6 @@ def stated_errors(best: Evaluation, left: Sequence[Left]) -> list[ModelError]:
         else:
             found.append(smooth)
     return found
-
-
-@dataclass(frozen=True)
-class Shown:
-    """A cause that a residual shows, see `astray_shown`.
-
-    Parameters
-    ----------
-    name
-        Of the cause.
-    deviations
-        By how many standard deviations its size is seen.
-    moved
-        (values,) what it moves values by, or a cause that is nearly as likely and moves them more.
-    explained
-        (n,) what it explains of the residual, whitened.
-    others
-        Causes that are nearly as likely.
-    """
-
-    name: str
-    deviations: float
-    moved: Array
-    explained: Array
-    others: tuple[str, ...] = ()
-
-
-def astray_shown(
-    best: Evaluation, left: Left, scene: Scene, spread: Array, own: int = 3, name: str | None = None
-) -> Shown | None:
-    """The cause that a residual shows most, if it moves a coefficient by `TELLING_MOVE`; None where none does.
-
-    Light astray may be no more than noise by its size, and yet move the coefficients by ten standard deviations. It is
-    looked for by its own pattern.
-
-    Parameters
-    ----------
-    best, left
-        Of the fit.
-    scene
-        With the fitted liquid.
-    spread
-        Covariance of the values without it.
-    own
-        How many of the values are the liquid's.
-    name
-        Of the only cause that is asked for; None: all.
-    """
-    along = sizes_along(best.problem.blocks, best.values)
-    (gain, _), (view,) = best.scale, best.problem.views
-    quick = name is None and left.prediction.model == "prepared"
-    found_along = as_found(scene, along)
-    errors = stated_errors(best, [left])
-
-    def own_pattern(cause: str, image: Image) -> Array:
-        return causes(scene, image, quick, found_along)[cause]()[0]
-
-    def rough_pattern(cause: str, image: Image) -> Array:
-        rough = SIGNS[cause].rough
-        assert rough is not None
-        return rough(scene, image)
-
-    def told(names: Sequence[str], pattern: Callable[[str, Image], Array]) -> tuple[Array, Array, Array, Array]:
-        """Of each cause its size, the deviation of that by chance, what it moves, and what one unit of it changes."""
-        patterns = np.array([pattern(one, left.smooth / gain) for one in names])
-        whole = view.whitened(gain * patterns)
-        faults = best.project_out(whole)[:, : best.left.size]
-
-        def gained(light: Image, noise: Image) -> Array:
-            found = np.zeros_like(patterns)
-            for number, one in enumerate(names):
-                if SIGNS[one].of_image:
-                    found[number] = gain * (pattern(one, (light + noise) / gain) - patterns[number])
-            return found
-
-        met = met_by_noise(best, left, whole, gained)
-        return (*shown(best.sensitivity, best.left, faults, [left.noise], errors, met), faults)
-
-    asked = causes(scene, left.smooth / gain, quick, found_along)
-    names = [one for one in asked if SIGNS[one].along not in along and name in (None, one)]
-    roughly = [one for one in names if SIGNS[one].rough is not None] if name is None and not quick else []
-    if roughly:
-        sizes, chances, _, _ = told(roughly, rough_pattern)
-        hardly = {
-            one for one, of_chance in zip(roughly, np.abs(sizes / chances), strict=True) if of_chance < WORTH_A_LOOK
-        }
-        names = [one for one in names if one not in hardly]
-    if not names:
-        return None
-    sizes, chances, moved, faults = told(names, own_pattern)
-    moves = np.abs(moved / np.sqrt(np.maximum(np.diag(spread), 1e-300)))[:, :own].max(axis=1)
-    low, high = np.array([SIGNS[one].sizes(scene) for one in names]).T
-    believed = (sizes > low) & (sizes - TOLD * chances < high)
-    deviations = sizes / chances
-    seen = np.where((moves > TELLING_MOVE) & believed, np.abs(deviations), 0.0)
-    most = int(np.argmax(seen))
-    if seen[most] <= TOLD:
-        return None
-    explained = sizes[most] * faults[most] - moved[most] @ best.sensitivity.changes
-    # A veil and a floor are told apart by chance: whichever is named, what the other may have done is counted.
-    alike = np.flatnonzero((seen > TOLD) & (seen**2 > seen[most] ** 2 - ALIKE))
-    others = tuple(names[one] for one in alike if one != most)
-    counted = np.flatnonzero((seen > TOLD) & (seen**2 > seen[most] ** 2 - COUNTED))
-    worst = counted[int(np.argmax(moves[counted]))]
-    return Shown(names[most], float(deviations[most]), moved[worst], explained, others)
 
 
 def rms(values: Image) -> float:

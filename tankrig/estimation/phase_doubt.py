@@ -8,8 +8,9 @@ from functools import cache, cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.estimation.astray_shown import Shown
 from tankrig.estimation.fitting import Searched
-from tankrig.estimation.left_over import Left, Shown, stated_errors
+from tankrig.estimation.left_over import Left, stated_errors
 from tankrig.estimation.phase_answer import Asked
 from tankrig.estimation.phase_instead import Freed, Instead, fitted_instead, freed
 from tankrig.estimation.problem import Evaluation
