@@ -23,6 +23,7 @@ from tankrig.estimation.shots import Fit
 from tankrig.estimation.versions import Models
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium
+from tankrig.scene.mie import Mie
 from tankrig.scene.phase_functions import HenyeyGreenstein, ReynoldsMcCormick, TwoTerm
 from tankrig.scene.phase_table import PhaseFunction
 from tests.phase_images import TANK, X, Y, fit, many_turns, off_in_sd, photographed
@@ -125,6 +126,25 @@ def test_henyey_greenstein_is_not_believed_where_it_leaves_mere_noise(share: flo
     assert "phase function" not in honest.verdict
     assert all(honest.identifiable.values())
     assert math.sqrt(honest.covariance[2, 2]) < 0.004  # no wider for what is a hundred times less likely
+
+
+def test_beads_that_seem_to_be_off_spheres_are_fitted_by_spheres() -> None:
+    """What a free phase function knows of beads of 2 µm left them off by a third of an amplitude, and g ± .0102."""
+    truth = Mie(2.0, 1.58242, 1.3317, 633.0, spread=0.02)
+    image = many_turns(Medium(0.0006, 0.02, phase=truth)).image
+    noise = 0.003 * float(image.max())
+    seen = observe(image + np.random.default_rng(0).normal(0.0, noise, image.shape), image.shape, noise)
+
+    def tank(liquid: Medium) -> Prediction:
+        return replace(many_turns(liquid), model="tank")
+
+    asked = Asked(further=Asked(free(), averaged=True))
+    models = Models(tank, lambda _: (tank, tank))
+    found = fit_models(seen, SCENE, Scaling(1.0, 0.0), models, lambda _: None, asked=asked)
+    assert "Spheres of one kind" in found.verdict
+    assert found.scattering.families["spheres"] > 0.9
+    assert found.medium.g == pytest.approx(truth.mean_cosine, abs=0.006)
+    assert math.sqrt(found.covariance[2, 2]) < 0.005
 
 
 def test_where_hardly_anything_tells_phase_functions_apart_intervals_count_them() -> None:

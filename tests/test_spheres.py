@@ -1,15 +1,18 @@
 """Spheres that nobody has labelled are told from what an image says of a free phase function's shapes."""
 
 import math
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tankrig.estimation.phase_average import together
+from tankrig.estimation.phase_average import LikelySpheres, together
 from tankrig.estimation.phase_evidence import Score, about_spheres, by_free, families
 from tankrig.estimation.phase_families import as_free, free
 from tankrig.estimation.phase_result import Scattering
+from tankrig.estimation.problem import Evaluation
 from tankrig.estimation.spheres import spheres
 from tankrig.scene import Medium
 from tankrig.scene.free_phase import Shaped, shapes_at
@@ -84,6 +87,19 @@ def test_an_emulsion_that_is_hardly_off_spheres_is_not_taken_for_them(seed: int)
     found = together(about_spheres(score, liquid, own))
     sd = math.sqrt(found.covariance[1, 1])
     assert abs(found.liquid.sigma_s - sigma_s) < 3.0 * sd < 0.3 * sigma_s
+
+
+def leaves(much: float) -> SimpleNamespace:
+    """An optimum whose images leave so much, of a problem in which they are what they leave."""
+    problem = SimpleNamespace(whitened=lambda images: images, scale=lambda _: (), left_by=lambda images: images[0])
+    return SimpleNamespace(left=np.full(100, much), images=[np.full(100, much)], problem=problem)
+
+
+@pytest.mark.parametrize(("much", "alone"), [(1.0, False), (1.04, False), (1.1, True), (3.0, True)])
+def test_nothing_smooth_is_weighed_beside_spheres_that_leave_far_less(much: float, alone: bool) -> None:
+    """Its errors, widened by what it had left, had made particles of many sizes seven times as likely."""
+    beside = LikelySpheres((None,), cast(Evaluation, leaves(much)), np.eye(20), free())
+    assert beside.alone(cast(Evaluation, leaves(1.0))) == alone
 
 
 def test_members_say_what_images_can_tell() -> None:

@@ -43,6 +43,10 @@ FOLLOWED = 0.5
 """Share that it may follow too, squared, of the model's own error or of structure that images hold: free beads of .5 µm
 left .7 % less than spheres did, which cost less, priors included, and were right. With smooth faults of .3 to 1 % in
 five images, spheres left up to .24 more where they were right, and 2 or more where they were not."""
+FAR_LESS = 1.05
+"""Times as much as spheres leave that a free phase function leaves where no smooth one is weighed beside them any more.
+Of beads of 1 µm it left 3 and 1.1 times as much: its errors, widened by that, had made particles of many sizes, which
+leave as much, seven and six times as likely as spheres, and σs of these, .1 % off, 9 ± 8 and 24 ± 14 % off."""
 NEGLIGIBLE, SOME = 1e-3, 0.05
 """Share of the answer below which a family is left out of it, and that all families must have together for exact images
 to be made where they say the liquid is."""
@@ -91,6 +95,11 @@ class LikelySpheres:
         liquid = Medium(float(coefficients[0]), float(coefficients[1]), phase=phase)
         found = about_spheres(score.about(place, left, np.zeros((0, left.size))), liquid, own)
         return replace(together(found), beads=None, explains_as_well=self._explain_as_well(left))
+
+    def alone(self, best: Evaluation) -> bool:
+        """Whether spheres leave so much less at the optimum of their fit that nothing is to be weighed beside them."""
+        left, freely = _left_by(best.images, self.freely), self.freely.left
+        return float(freely @ freely) > FAR_LESS**2 * float(left @ left)
 
     def _explain_as_well(self, left: Array) -> bool:
         """Whether images that leave (n,) so much explain what was seen as well as the free phase function's do."""
