@@ -72,19 +72,6 @@ def test_beads_are_what_their_label_says_but_for_its_errors(
     assert found.identifiable["sigma_s"]
 
 
-@pytest.mark.long
-@pytest.mark.timeout(3600)
-def test_beads_that_nobody_named_are_told_where_the_gain_is_known() -> None:
-    """From where Henyey–Greenstein's ends with the gain known, at 2.7 times their σs, a fit ended at 1.57 ± .07 times
-    it. Look where it ends with any gain, too."""
-    image, noise = photographed("bead-2um-thin")
-    found = tankrig.estimate(image, TANK, 1.0, 0.0, noise=noise)
-    assert found.medium.sigma_s == pytest.approx(0.01, rel=0.01)
-    assert found.identifiable["sigma_s"]
-    diameter, _ = found.scattering.parameters["diameter_in_wavelengths"]
-    assert diameter == pytest.approx(2.0 / 0.633, rel=0.01)
-
-
 def test_few_paths_tell_what_an_unlike_liquids_image_is() -> None:
     """Another mode's image about an exact one is as right as many paths make it, where its derivatives are not."""
     label = labelled(Mie(2.0, 1.58242, 1.3317, 633.0, spread=0.02))

@@ -9,17 +9,21 @@ import pytest
 import tankrig
 from tankrig.benchmark.wide import wide_scene
 from tankrig.estimation import phase_answer
+from tankrig.estimation.coordinates import Range
 from tankrig.estimation.estimate import Estimate, fit_models
+from tankrig.estimation.fitting import searched
 from tankrig.estimation.followed import Model
+from tankrig.estimation.forward import models_of
 from tankrig.estimation.observation import observe
+from tankrig.estimation.parameters import MediumBlock
 from tankrig.estimation.phase_answer import Asked, asked_for, rougher
-from tankrig.estimation.phase_doubt import Doubt, PhaseTold
+from tankrig.estimation.phase_doubt import Doubt, PhaseTold, told_early
 from tankrig.estimation.phase_families import free
 from tankrig.estimation.phase_instead import Freed
 from tankrig.estimation.phase_result import ANGLES_DEG
 from tankrig.estimation.residual import Cause
 from tankrig.estimation.scaling import Scaling
-from tankrig.estimation.shots import Fit
+from tankrig.estimation.shots import Fit, Shot
 from tankrig.estimation.versions import Models
 from tankrig.prediction import Prediction
 from tankrig.scene import Medium
@@ -145,6 +149,18 @@ def test_beads_that_seem_to_be_off_spheres_are_fitted_by_spheres() -> None:
     assert found.scattering.families["spheres"] > 0.9
     assert found.medium.g == pytest.approx(truth.mean_cosine, abs=0.006)
     assert math.sqrt(found.covariance[2, 2]) < 0.005
+
+
+def test_beads_are_looked_at_by_any_gain_where_it_is_known() -> None:
+    """Henyey–Greenstein's σs is .027 there, a free phase function's from there .023, and one fit ended at .0157."""
+    image, noise = photographed("bead-2um-thin")
+    shot = Shot(observe(image, image.shape, noise), TANK, models_of(TANK, "tank", None))
+    blocks = (MediumBlock(Range.of_tank(max(TANK.tank.size_mm))),)
+    looked = searched([shot], blocks, Scaling(1.0, 0.0), lambda _: None)
+    found = told_early(shot, looked, lambda _: None)
+    assert found is not None
+    assert found.share > 0.95
+    assert found.liquid.sigma_s == pytest.approx(0.01, rel=0.2)
 
 
 def test_where_hardly_anything_tells_phase_functions_apart_intervals_count_them() -> None:

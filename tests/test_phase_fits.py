@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import tankrig
 from tankrig.estimation import phase_answer
-from tankrig.estimation.phase_average import averaged
+from tankrig.estimation.phase_average import averaged, unseen_peak
 from tankrig.estimation.phase_evidence import Score, by_free, families, may_peak
 from tankrig.estimation.phase_families import (
     CONE_DEG,
@@ -238,6 +238,14 @@ def test_an_emulsions_phase_function_is_a_result(asked: str | None) -> None:
     assert found.identifiable["sigma_s"]
 
 
+def known_of(truth: PhaseFunction, cone_deg: float = 0.0) -> tuple[Score, Array]:
+    """What a good image says of a liquid of σs .02/mm, and the covariance of that."""
+    base = math.atanh(min(truth.mean_cosine, 0.9))
+    at = np.array([1e-3, 0.02, base, *amplitudes_of(truth.at(PLACES), base, cone_deg)])
+    known = np.array([1e-4, 5e-4, 0.05, *[0.1] * SHAPES])
+    return Score(at, np.zeros(at.size), np.diag(1.0 / known), np.zeros((at.size, 1))), np.diag(known**2)
+
+
 @pytest.mark.parametrize(
     ("truth", "may"),
     [
@@ -252,9 +260,20 @@ def test_an_emulsions_phase_function_is_a_result(asked: str | None) -> None:
 )
 def test_a_peak_that_no_image_shows_is_told_by_what_turns_by_more(truth: PhaseFunction, may: bool) -> None:
     """Natural waters turn half of their light by less than 5°, and their σs was 23 % off, "determined"."""
-    base = math.atanh(min(truth.mean_cosine, 0.9))
-    at = np.array([1e-3, 0.02, base, *amplitudes_of(truth.at(PLACES), base, CONE_DEG if may else 0.0)])
-    known = np.array([1e-4, 5e-4, 0.05, *[0.1] * SHAPES])
-    score = Score(at, np.zeros(at.size), np.diag(1.0 / known), np.zeros((at.size, 1)))
-    freely = by_free(score, np.diag(known**2), free())
+    score, spread = known_of(truth, CONE_DEG if may else 0.0)
+    freely = by_free(score, spread, free())
     assert may_peak(score, [freely, *families(score, freely)]) == may
+
+
+def test_an_answer_that_may_peak_unseen_holds_what_the_peak_may_add() -> None:
+    """σs and the mean cosine of natural waters were 3 to 12 standard deviations off, and σs (1 − g) was right."""
+    score, spread = known_of(HenyeyGreenstein(0.9))
+    answer = by_free(score, spread, free()).answer()
+    peaked = unseen_peak(answer)
+    share, liquid = 0.3, answer.liquid
+    for k, more in ((1, share / (1.0 - share) * liquid.sigma_s), (2, share * (1.0 - liquid.g))):
+        assert more < 2.0 * math.sqrt(peaked.covariance[k, k])
+    reduced = np.array([0.0, 1.0 - liquid.g, -liquid.sigma_s])  # gradient of σs (1 − g)
+    assert reduced @ peaked.covariance @ reduced == pytest.approx(reduced @ answer.covariance @ reduced)
+    assert peaked.covariance[0, 0] == answer.covariance[0, 0]
+    assert (peaked.may_peak, peaked.outside_cone) == (True, answer.outside_cone)

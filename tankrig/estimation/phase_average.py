@@ -47,6 +47,10 @@ FAR_LESS = 1.05
 """Times as much as spheres leave that a free phase function leaves where no smooth one is weighed beside them any more.
 Of beads of 1 µm it left 3 and 1.1 times as much: its errors, widened by that, had made particles of many sizes, which
 leave as much, seven and six times as likely as spheres, and σs of these, .1 % off, 9 ± 8 and 24 ± 14 % off."""
+UNSEEN = 0.3
+"""Standard deviation of the share of its light that a liquid which may peak straight on turns by too little for an
+image to show it. Petzold's waters and Fournier and Forand's have .25 to .32 more of it than what was fitted to them,
+with mean cosines .018 to .038 too small, of which .002 to .012 were stated."""
 NEGLIGIBLE, SOME = 1e-3, 0.05
 """Share of the answer below which a family is left out of it, and that all families must have together for exact images
 to be made where they say the liquid is."""
@@ -132,7 +136,16 @@ def averaged(best: Evaluation, spread: Array, family: Family, exact: Exact | Non
         left, noise = _left_by([exact(liquid, times).image + added], best), _noise_of(exact, liquid, best)
         score = score.about(place, left, noise)
         found = [freely, *families(score, freely)]
-    return replace(together(found), may_peak=may_peak(score, found))
+    answer = together(found)
+    return unseen_peak(answer) if may_peak(score, found) else answer
+
+
+def unseen_peak(answer: Scattering) -> Scattering:
+    """An answer with what light that turns by too little to be seen may add: to σs, and to the mean cosine, but hardly
+    to σs (1 − g)."""
+    liquid = answer.liquid
+    moved = UNSEEN * np.array([0.0, liquid.sigma_s, 1.0 - liquid.g])
+    return replace(answer, covariance=answer.covariance + np.outer(moved, moved), may_peak=True)
 
 
 def like_spheres(best: Evaluation, spread: Array, family: Family) -> tuple[Medium, ...]:

@@ -79,7 +79,8 @@ class Scattering:
         is as absolute as σs, which comes from how light fades and spreads and needs no known gain.
     may_peak
         Whether a peak within the cone, as natural waters have one, is as likely as not to have one: then σs and the
-        mean cosine are those of what is smooth there, and `outside_cone` is known.
+        mean cosine are those of what is smooth there, with what a peak may add in `covariance`, and `outside_cone` is
+        known.
     beads
         The liquid as spheres alone, where these are likelier than all else and it is hardly off them; else None.
     explains_as_well
