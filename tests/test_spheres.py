@@ -1,6 +1,7 @@
 """Spheres that nobody has labelled are told from what an image says of a free phase function's shapes."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -100,6 +101,8 @@ def test_nothing_smooth_is_weighed_beside_spheres_that_leave_far_less(much: floa
     """Its errors, widened by what it had left, had made particles of many sizes seven times as likely."""
     beside = LikelySpheres((None,), cast(Evaluation, leaves(much)), np.eye(20), free())
     assert beside.alone(cast(Evaluation, leaves(1.0))) == alone
+    # Not where images hold structure of another cause, as a bench's do.
+    assert not replace(beside, structure=10.0).alone(cast(Evaluation, leaves(1.0)))
 
 
 def test_members_say_what_images_can_tell() -> None:

@@ -195,7 +195,7 @@ def answer_of(
             np.array(medium.coefficients[:2]), coordinates, scale @ covariance @ scale, henyey_greenstein()
         )
         return replace(found, liquid=medium, covariance=covariance)
-    if asked.likely is not None and not asked.likely.alone(best):
+    if asked.likely is not None and not (explained and asked.likely.alone(best)):
         return asked.likely.weighed(best)
     if asked.averaged and explained:
         return averaged(best, spread, asked.family, exact)

@@ -101,9 +101,12 @@ class LikelySpheres:
         return replace(together(found), beads=None, explains_as_well=self._explain_as_well(left))
 
     def alone(self, best: Evaluation) -> bool:
-        """Whether spheres leave so much less at the optimum of their fit that nothing is to be weighed beside them."""
+        """Whether spheres leave so much less at the optimum of their fit that nothing is to be weighed beside them.
+
+        Not where images hold structure that is no phase function's, or where the free one's fit ended early for that.
+        """
         left, freely = _left_by(best.images, self.freely), self.freely.left
-        return float(freely @ freely) > FAR_LESS**2 * float(left @ left)
+        return self.structure == 0.0 and float(freely @ freely) > FAR_LESS**2 * float(left @ left)
 
     def _explain_as_well(self, left: Array) -> bool:
         """Whether images that leave (n,) so much explain what was seen as well as the free phase function's do."""
