@@ -156,7 +156,7 @@ def test_families_are_weighed_about_exact_images_of_where_they_are(monkeypatch: 
         return averaged(best, spread, family)
 
     monkeypatch.setattr(phase_answer, "averaged", seen)
-    monkeypatch.setattr(phase_average, "unseen_peak", lambda answer: answer)  # is another question
+    monkeypatch.setattr(phase_average, "unseen_peak", lambda answer: answer)  # only what is seen is compared
     fit(truth, "any")
     ((best, spread, family),) = kept
     beside = best.coordinates + 0.1 * (np.eye(best.coordinates.size)[0] - np.eye(best.coordinates.size)[2])

@@ -75,13 +75,13 @@ def astray_shown(
     name
         Of the only cause that is asked for; None: all.
     """
-    asked = _Asked(best, left, scene, name is None and left.prediction.model == "prepared")
-    names = [one for one in asked.causes(left.smooth) if name in (None, one)]
-    if name is None and not asked.quick:
-        names = asked.worth_a_look(names)
+    residual = _Residual(best, left, scene, name is None and left.prediction.model == "prepared")
+    names = [one for one in residual.causes(left.smooth) if name in (None, one)]
+    if name is None and not residual.quick:
+        names = residual.worth_a_look(names)
     if not names:
         return None
-    sizes, chances, moved, faults = asked.told(names, asked.own_pattern)
+    sizes, chances, moved, faults = residual.told(names, residual.own_pattern)
     moves = np.abs(moved / np.sqrt(np.maximum(np.diag(spread), 1e-300)))[:, :own].max(axis=1)
     low, high = np.array([SIGNS[one].sizes(scene) for one in names]).T
     believed = (sizes > low) & (sizes - TOLD * chances < high)
@@ -100,8 +100,17 @@ def astray_shown(
 
 
 class _Told(NamedTuple):
-    """Of each cause its size, the deviation of that by chance, what it moves values by, and what a unit of it changes
-    of the residual, whitened."""
+    """What a residual says of causes.
+
+    Parameters
+    ----------
+    sizes, chances
+        (causes,) how large each is, and the standard deviation of that by chance.
+    moved
+        (causes, values) by how much it moves values.
+    faults
+        (causes, n) what a unit of it changes of the residual, whitened.
+    """
 
     sizes: Array
     chances: Array
@@ -110,8 +119,8 @@ class _Told(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """What is asked of the residual of one image; `quick` leaves out what takes longer than a prepared model's fit."""
+class _Residual:
+    """What one image's fit leaves, asked for causes; if `quick`, not for those that take longer than a prepared fit."""
 
     best: Evaluation
     left: Left
@@ -120,7 +129,7 @@ class _Asked:
 
     @property
     def gain(self) -> float:
-        """The image's."""
+        """Image units per W/mm²/sr, as fitted."""
         return self.best.scale[0]
 
     @cached_property
@@ -128,9 +137,14 @@ class _Asked:
         """Sizes of what was fitted along, which is no cause any more."""
         return sizes_along(self.best.problem.blocks, self.best.values)
 
+    @cached_property
+    def found(self) -> Scene:
+        """The scene with that."""
+        return as_found(self.scene, self.along)
+
     def causes(self, light: Image) -> dict[str, Callable[[], list[Array]]]:
         """Patterns of those that may be one, for fitted light."""
-        found = causes(self.scene, light / self.gain, self.quick, as_found(self.scene, self.along))
+        found = causes(self.scene, light / self.gain, self.quick, self.found)
         return {name: pattern for name, pattern in found.items() if SIGNS[name].along not in self.along}
 
     def own_pattern(self, cause: str, light: Image) -> Array:

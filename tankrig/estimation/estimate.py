@@ -29,6 +29,7 @@ from tankrig.estimation.phase_answer import (
     is_rough,
     likely_spheres,
     liquid_blocks,
+    mostly_spheres,
 )
 from tankrig.estimation.phase_average import AS_WELL, FOLLOWED, LikelySpheres
 from tankrig.estimation.phase_doubt import PhaseTold, told_early
@@ -77,9 +78,6 @@ FAR_MORE, NEARLY_ALL = 0.5, 0.9
 """Share of what Henyey–Greenstein's leaves, squared, that a fit of other phase functions has to explain at least which
 was begun from anywhere, and more than any other cause does; and share that such a cause has to explain, or that is
 tried. An emulsion of σs .05 looked like uneven ink, which explained two thirds."""
-LIKELY = 0.5
-"""Share of the evidence from which on spheres are fitted by themselves though the liquid seems to be off them: as seen
-from a free phase function's optimum beads of 1 µm were, by a discrepancy of .3, with σs 9 ± 7 % off."""
 HOPELESS = 0.1
 """Unexplained structure, as a share of the image, from which on nothing counts as determined."""
 COMMON_FLOOR = 0.04
@@ -335,8 +333,7 @@ def _built(fit: Fit, scene: Scene, models: Models, asked: Asked) -> tuple[Estima
     off, exact = nuisances_of(best, spread), fit.exact or models.exact
     answer = answer_of(best, spread, asked, left.beyond == 0.0, exact)
     undescribed, rough = _undescribed(best, left, asked)
-    off_spheres = answer.beads is None and answer.families.get(spheres().name, 0.0) > LIKELY
-    unsure = undescribed or fit.moved is not None or off_spheres
+    unsure = undescribed or fit.moved is not None or (answer.beads is None and mostly_spheres(answer))
     likely = likely_spheres(best, spread, asked, answer, unsure, models.prepares)
     medium, spread = answer.liquid, phase.counted(answer.covariance)
     bent = phase.misled or phase.doubted or undescribed or fit.moved is not None or answer.may_peak

@@ -45,8 +45,8 @@ left .7 % less than spheres did, which cost less, priors included, and were righ
 five images, spheres left up to .24 more where they were right, and 2 or more where they were not."""
 FAR_LESS = 1.05
 """Times as much as spheres leave that a free phase function leaves where no smooth one is weighed beside them any more.
-Of beads of 1 µm it left 3 and 1.1 times as much: its errors, widened by that, had made particles of many sizes, which
-leave as much, seven and six times as likely as spheres, and σs of these, .1 % off, 9 ± 8 and 24 ± 14 % off."""
+Of beads of 1 µm it left 3 and 1.1 times as much. With its errors, which count what it leaves, particles of many sizes
+were seven and six times as likely as spheres, and σs 9 ± 8 and 24 ± 14 % off, where that of spheres was .1 and .4."""
 UNSEEN = 0.3
 """Standard deviation of the share of its light that a liquid which may peak straight on turns by too little for an
 image to show it. Petzold's waters and Fournier and Forand's have .25 to .32 more of it than what was fitted to them,

@@ -53,6 +53,8 @@ def told_early(shot: Shot, looked: Searched, progress: Told) -> Instead | None:
     """What another phase function explains, where the search's end with Henyey–Greenstein's leaves so much that it is
     not worth going on from; None where that is not so.
 
+    Where the gain is known this is looked for from two places, see `_by_any_gain`.
+
     Parameters
     ----------
     shot

@@ -11,7 +11,7 @@ from tankrig.estimation.estimate import determined
 from tankrig.estimation.forward import family_models
 from tankrig.estimation.left_over import Left, error_of, left_over, spread_of
 from tankrig.estimation.observation import Observation, observe
-from tankrig.estimation.phase_answer import Asked, answer_of, is_rough, likely_spheres
+from tankrig.estimation.phase_answer import Asked, answer_of, is_rough, likely_spheres, mostly_spheres
 from tankrig.estimation.phase_average import LikelySpheres
 from tankrig.estimation.phase_families import Family
 from tankrig.estimation.phase_result import Scattering
@@ -32,9 +32,6 @@ from tankrig.light.rays import shift_invariant
 from tankrig.scene import Scene
 
 Array = NDArray[np.float64]
-
-MOSTLY_SPHERES = 0.5
-"""Share of the answer from which on spheres are fitted by themselves."""
 
 
 def observed(
@@ -146,5 +143,5 @@ def tells_of_spheres(shots: Sequence[Shot], asked: Asked, fit: Fit) -> bool:
 def _unsure(fit: Fit, left: Sequence[Left], asked: Asked, answer: Scattering) -> bool:
     """Whether a free phase function does not describe all images, has not settled, or where several images tell so much
     that a family next to its fit is not known to first order, spheres are most of the answer."""
-    mostly = answer.families.get(spheres().name, 0.0) > MOSTLY_SPHERES
-    return mostly or fit.moved is not None or is_rough(fit.optimum, asked) or any(one.beyond > 0.0 for one in left)
+    undescribed = is_rough(fit.optimum, asked) or any(one.beyond > 0.0 for one in left)
+    return mostly_spheres(answer) or fit.moved is not None or undescribed
