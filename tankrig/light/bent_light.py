@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.liquids import Liquids, add_scattered
-from tankrig.light.quadrature import Rule
+from tankrig.light.quadrature import PANEL, Rule
 from tankrig.light.rays import Edges, Geometry, Ray, bent, bent_light, light_kept, path_inside, sight_line
 
 Array = NDArray[np.float64]
@@ -21,6 +21,8 @@ that it may always have: from 400 mm a beam's side faces bulge by less than 0.05
 images were 2 % off."""
 FAR_MM = 300.0
 """From the wall, from which on a search for a beam's side faces would change images by less than 2e-4."""
+EDGE_MM, SECANTS = 1e-5, 6
+"""How near to a beam's lower or upper edge a search ends, and its steps before one that is slower and never fails."""
 CLOSE_MM = 0.02
 """So near to a side face, the next step of a search is there to a thousandth of a mm."""
 
@@ -51,17 +53,17 @@ def add_along_sight_in_bent_light(
     if high <= low:
         return
     sight = Ray(x, y, geometry.height, vx, vy, vz)
-    top, bottom = entry_seen(geometry, sight, low)[1], entry_seen(geometry, sight, high)[1]
-    if top <= edges[2] or bottom >= edges[3]:
+    start, before = _entered_at(geometry, sight, edges[3], low, high)
+    end, at_end = _entered_at(geometry, sight, edges[2], start, high)
+    if end <= start:
         return
-    start = low if top <= edges[3] else _depth_of(geometry, sight, edges[3], low, high, top, bottom)
-    end = high if bottom >= edges[2] else _depth_of(geometry, sight, edges[2], low, high, top, bottom)
     nodes, weights = rule
     stretches = 1 + int((end - start) / min(STRETCH_MM, max(STRETCH_SHARE * -geometry.light_x, SHORTEST_MM)))
     step = (end - start) / stretches
-    after = entry_seen(geometry, sight, start)[0]
+    after = before
     for stretch in range(stretches):
-        before, after = after, entry_seen(geometry, sight, start + (stretch + 1) * step)[0]
+        before = after
+        after = at_end if stretch == stretches - 1 else entry_seen(geometry, sight, start + (stretch + 1) * step)[0]
         first, last = _lit_share(before, after, edges[0], edges[1])
         if last <= first:
             continue
@@ -70,7 +72,7 @@ def add_along_sight_in_bent_light(
             first = _share_at(geometry, sight, edges[0 if rising else 1], from_mm, step, before, after)
         if near and last < 1.0:
             last = _share_at(geometry, sight, edges[1 if rising else 0], from_mm, step, before, after)
-        panels = 1 + int(liquids.densest * step * (last - first) / 2.0)
+        panels = 1 + int(liquids.densest * step * (last - first) / PANEL)
         half = 0.5 * step * (last - first) / panels
         for panel in range(panels):
             for k in range(nodes.size):
@@ -90,19 +92,54 @@ def entry_seen(geometry: Geometry, sight: Ray, depth: float) -> tuple[float, flo
 
 
 @kernel
-def _depth_of(
-    geometry: Geometry, sight: Ray, level: float, low: float, high: float, top: float, bottom: float
-) -> float:
-    """Depth t at which the light came in at a level, z₀(t) = level, between depths where it came in above and below.
+def _entered_at(geometry: Geometry, sight: Ray, level: float, low: float, high: float) -> tuple[float, float]:
+    """Depth t of a line of sight at which the light came in at a level, z₀(t) = level, and the y there.
 
-    Searched for by false position, the Illinois way.
+    Begun at the paraxial ray, from which secants find it in two or three steps. Of low and high the nearer is taken
+    where it lies beyond them.
     """
-    above, below = top - level, bottom - level
+    height = -geometry.light_x - geometry.pane
+    per_mm = 1.0 / (geometry.entry_index * height)
+    at_wall = 1.0 + geometry.pane / (geometry.pane_index * height)
+    # Paraxial light came in at at_wall / (at_wall + per_mm x) of its distance from the normal.
+    here, above, aside = at_wall + per_mm * sight.x, sight.z - geometry.light_z, level - geometry.light_z
+    depth = (above * at_wall - aside * here) / (sight.dz * at_wall - aside * per_mm * sight.dx)
+    depth = min(max(depth, low), high)
+    y, z = entry_seen(geometry, sight, depth)
+    here -= per_mm * sight.dx * depth
+    slope = at_wall * (per_mm * sight.dx * (above - sight.dz * depth) / here - sight.dz) / here
+    for _ in range(SECANTS):
+        miss = z - level
+        if abs(miss) < EDGE_MM:
+            break
+        step = -miss / slope
+        y, z = entry_seen(geometry, sight, depth + step)
+        depth += step
+        slope = (z - level - miss) / step
+        if slope >= 0.0:
+            break
+    if abs(z - level) < EDGE_MM and low <= depth <= high:
+        return depth, y
+    return _entered_between(geometry, sight, level, low, high)
+
+
+@kernel
+def _entered_between(geometry: Geometry, sight: Ray, level: float, low: float, high: float) -> tuple[float, float]:
+    """The same by false position, the Illinois way, which needs no good start."""
+    y, z = entry_seen(geometry, sight, low)
+    above = z - level
+    if above <= 0.0:
+        return low, y
+    y, z = entry_seen(geometry, sight, high)
+    below = z - level
+    if below >= 0.0:
+        return high, y
     side, depth = 0, 0.5 * (low + high)
     for _ in range(30):
         depth = (low * below - high * above) / (below - above)
-        miss = entry_seen(geometry, sight, depth)[1] - level
-        if abs(miss) < 1e-6:
+        y, z = entry_seen(geometry, sight, depth)
+        miss = z - level
+        if abs(miss) < EDGE_MM:
             break
         if miss > 0.0:
             low, above = depth, miss
@@ -112,7 +149,7 @@ def _depth_of(
             high, below = depth, miss
             above *= 0.5 if side == -1 else 1.0
             side = -1
-    return depth
+    return depth, y
 
 
 @kernel

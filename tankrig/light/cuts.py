@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
 from tankrig.light.paths.record import seen_from
-from tankrig.light.rays import Edges, Geometry, bent, bent_light, sighting_row
+from tankrig.light.rays import Edges, Geometry, bent, bent_light, light_ray, sighting_row
 from tankrig.light.sorting import put_in_order
 
 CUTS = 8
@@ -42,11 +42,22 @@ def rows_of_ends(geometry: Geometry, x: float, edges: Edges, rows: NDArray[np.fl
         rows[k] = sighting_row(geometry, x, edges[k // 2], edges[2 + k % 2])
         first, last = min(first, rows[k]), max(last, rows[k])
     for k in range(4):
-        row = first
-        if geometry.camera_pinhole:  # looking straight down, a wall is a pixel's edge
-            row = _row_of_wall(geometry, x, geometry.half_width * (1.0 if k < 2 else -1.0), edges[2 + k % 2])
+        row, side = first, 1.0 if k < 2 else -1.0
+        # Looking straight down, a wall is a pixel's edge.
+        if geometry.camera_pinhole and _meets_side_wall(geometry, edges, side):
+            row = _row_of_wall(geometry, x, side * geometry.half_width, edges[2 + k % 2])
         rows[4 + k] = min(max(row, first), last)
     put_in_order(rows)
+
+
+@kernel
+def _meets_side_wall(geometry: Geometry, edges: Edges, side: float) -> bool:
+    """Whether light of a beam gets to the wall on one side of the tank, ±1."""
+    for k in range(4):
+        ux, uy, _ = light_ray(geometry, edges[k // 2], edges[2 + k % 2])
+        if side * (edges[k // 2] + uy / ux * geometry.length) > geometry.half_width:
+            return True
+    return False
 
 
 @kernel

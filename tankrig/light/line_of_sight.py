@@ -18,11 +18,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tankrig.compiled import kernel
+from tankrig.compiled import kernel, part
 from tankrig.light.bent_light import add_along_sight_in_bent_light, entry_seen
 from tankrig.light.liquids import Liquids, add_scattered
-from tankrig.light.quadrature import Rule, SightRules
-from tankrig.light.rays import Edges, Geometry, Ray, bent, light_kept, light_ray, path_inside, sight_line
+from tankrig.light.quadrature import PANEL, Rule, SightRules
+from tankrig.light.rays import (
+    Edges,
+    Geometry,
+    Ray,
+    bent,
+    light_kept,
+    light_ray,
+    path_inside,
+    sight_line,
+    sighting_row,
+)
 
 Array = NDArray[np.float64]
 
@@ -30,6 +40,8 @@ FAINT = 60.0
 """Free paths after which light is fainter than any rounding."""
 SHORT = 1 / 800
 """Of the tank's height: twice so far, between two cuts, light changes so evenly that two lines of sight do."""
+EVEN = 1 / 40
+"""Of the nearer of projector and camera from the tank: over so much, light that has no end there does likewise."""
 ROOT_THIRD = math.sqrt(1.0 / 3.0)
 """Where they lie, in halves of the width (Gauss)."""
 CUT_SHARE, HALVINGS = 1e-6, 14
@@ -38,6 +50,11 @@ MOST_ROWS = 32
 """Of a span, that it is cut at."""
 FAR_AWAY = 4.0
 """Of the tank's height or half of its width, beyond which light rays are not looked for any more."""
+BESIDE = 0.1
+"""Of a column of pixels, beside which a wall still counts as cutting off some lines of sight through it."""
+TURNING, SHORTEST_MM = 0.1, 1.0
+"""Of the projector's distance, along which its light turns by so little that two nodes on a line of sight do, and a
+length that they may always have."""
 STEEP = 0.3
 """Tangent, between the vertical and lines of sight in the water, from which on the far and the near wall cut light off
 at other rows on either side of a pixel."""
@@ -66,7 +83,8 @@ def add_across_sights(
     for k in range(ends.size + 1):
         end = min(max(ends[k], low), high) if k < ends.size else high
         half = 0.5 * (end - start)
-        if 0.0 < half <= SHORT * geometry.height:
+        even = start == low and end == high and end - start <= _even_over(geometry)
+        if half > 0.0 and (even or half <= SHORT * geometry.height):
             for side in (-ROOT_THIRD, ROOT_THIRD):
                 y = start + half * (1.0 + side)
                 _add_along_sight(found, factor * half, geometry, x, y, liquids, edges, depth_rule)
@@ -75,6 +93,13 @@ def add_across_sights(
                 y = start + half * (1.0 + nodes[j])
                 _add_along_sight(found, factor * half * weights[j], geometry, x, y, liquids, edges, depth_rule)
         start = max(start, end)
+
+
+@part
+def _even_over(geometry: Geometry) -> float:
+    """Length in mm, across lines of sight, over which light changes evenly where none begins or ends: two lines do."""
+    above = geometry.camera_z - geometry.height if geometry.camera_pinhole else FAR_AWAY * geometry.length
+    return EVEN * min(above, -geometry.light_x if geometry.light_pinhole else above)
 
 
 @kernel
@@ -166,8 +191,11 @@ def ever_cut_off(geometry: Geometry, edges: Edges) -> bool:
 def cut_off(geometry: Geometry, x_left: float, width: float, edges: Edges) -> bool:
     """Whether faces of the tank cut off what is lit on some lines of sight between two x of slanted light or sight."""
     vx, _, vz, _ = sight_line(geometry, x_left + width, 0.0)
-    if abs(vx) > STEEP * vz and kinked(geometry, x_left, width, edges):
-        return True
+    if abs(vx) > STEEP * vz:
+        near, far = _lit_between(geometry, x_left, width, edges, edges[2])
+        also_near, also_far = _lit_between(geometry, x_left, width, edges, edges[3])
+        if min(near, also_near) < 1e-9 or max(far, also_far) > geometry.length - 1e-9:
+            return True
     far = x_left + width - min(vx, 0.0) / vz * geometry.height  # as far as lines of sight get
     return _reaches_faces(geometry, min(far, geometry.length), edges)
 
@@ -200,23 +228,45 @@ def strays(geometry: Geometry, edges: Edges) -> bool:
 
 @kernel
 def kinked(geometry: Geometry, x_left: float, width: float, edges: Edges) -> bool:
-    """Whether a wall, the surface or the floor cuts what is lit on some lines of sight between two x, not on others."""
-    near, far = 1e30, -1e30
-    middle = 0.5 * (edges[0] + edges[1])
-    for k in range(4):
-        x = x_left + width * (k // 2)
-        ux, uy, uz = light_ray(geometry, middle, edges[2 + k % 2])
-        vx, _, vz, _ = sight_line(geometry, x, middle + uy / ux * x)
-        lit = x - vx / vz * (geometry.height - min(max(edges[2 + k % 2] + uz / ux * x, 0.0), geometry.height))
-        near, far = min(near, lit), max(far, lit)
-    for k in range(2):  # where the light meets the surface or the floor
-        ux, _, uz = light_ray(geometry, middle, edges[2 + k])
+    """Whether a wall, the surface or the floor begins to cut off what is lit on lines of sight between two x.
+
+    There a wall comes to an edge of the beam: where it cuts all lines off within the beam, light changes smoothly.
+    """
+    for k in range(2):
+        near, far = _lit_between(geometry, x_left, width, edges, edges[2 + k])
+        straight = far - near <= width * (1.0 + 1e-9)  # looking straight down, a wall is a pixel's edge or outside
+        margin = BESIDE * (far - near)  # rows between these two differ a little
+        for wall in (0.0, geometry.length):
+            if not straight and near - margin < wall < far + margin:
+                return True
+        # Where the light meets the surface or the floor.
+        ux, _, uz = light_ray(geometry, 0.5 * (edges[0] + edges[1]), edges[2 + k])
         left, right = edges[2 + k] + uz / ux * x_left, edges[2 + k] + uz / ux * (x_left + width)
         if (left - geometry.height) * (right - geometry.height) < 0.0 or left * right < 0.0:
             return True
-    inside = near > 1e-9 and far < geometry.length - 1e-9
-    straight = far - near <= width * (1.0 + 1e-9)  # looking straight down, a wall is a pixel's edge or outside
-    return not (inside or straight)
+    return False
+
+
+@kernel
+def _lit_between(
+    geometry: Geometry, x_left: float, width: float, edges: Edges, z0: float
+) -> tuple[float, float]:  # fmt: skip
+    """Between which x light of a beam that entered at a height is seen along lines of sight between two x."""
+    near, far = 1e30, -1e30
+    for corner in range(4):
+        lit = _lit_at(geometry, x_left + width * (corner // 2), edges[corner % 2], z0)
+        near, far = min(near, lit), max(far, lit)
+    return near, far
+
+
+@kernel
+def _lit_at(geometry: Geometry, x: float, y0: float, z0: float) -> float:
+    """The x of the point in the water at which a line of sight through some x of the surface meets a light ray."""
+    ux, _, uz = light_ray(geometry, y0, z0)
+    vx, _, vz, _ = sight_line(geometry, x, sighting_row(geometry, x, y0, z0))
+    aslant, rising = vx / vz, uz / ux
+    lit = (x - aslant * (geometry.height - z0)) / (1.0 - aslant * rising)
+    return x - aslant * (geometry.height - min(max(z0 + rising * lit, 0.0), geometry.height))
 
 
 @kernel
@@ -244,7 +294,9 @@ def _add_along_sight(
         return
     nodes, weights = rule
     apex = geometry.light_x
-    panels = 1 + int(liquids.densest * (high - low) / 2.0)
+    panels = 1 + int(liquids.densest * (high - low) / PANEL)
+    if geometry.light_pinhole:
+        panels = max(panels, 1 + int((high - low) / max(TURNING * -geometry.light_x, SHORTEST_MM)))
     half = 0.5 * (high - low) / panels
     for panel in range(panels):
         for k in range(nodes.size):

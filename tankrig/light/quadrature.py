@@ -41,6 +41,10 @@ class PixelRules(NamedTuple):
     sights: SightRules
 
 
+PANEL = 0.5
+"""Free paths of a line of sight that two nodes are enough for: 1e-5 of the light there."""
+
+
 def pixel_rules() -> PixelRules:
     """As many nodes as order 1 needs."""
-    return PixelRules(gauss_legendre(2), SightRules(gauss_legendre(3), gauss_legendre(4)))
+    return PixelRules(gauss_legendre(2), SightRules(gauss_legendre(3), gauss_legendre(2)))

@@ -92,8 +92,8 @@ def _add_beam(
     edges, strength = beam
     (x_nodes, x_weights), sights = rules
     rows, columns, _ = images.shape
-    y_first = -geometry.half_width
-    ends, rows_found = np.empty(CUTS), np.empty(MOST_ROWS)
+    grid, y_first = (rows, pixel_mm), -geometry.half_width
+    ends, rows_found, parts_of = np.empty(CUTS), np.empty(MOST_ROWS), np.empty(rows, np.int64)
     sometimes = ever_cut_off(geometry, edges)
     anywhere = sometimes and strays(geometry, edges)
     for column in range(columns):
@@ -103,50 +103,64 @@ def _add_beam(
         # Of the pixel lies in the tank, and looking straight down, light fades with x as it does on its way.
         reach = min(pixel_mm, geometry.length - x_left)
         reach = reach if geometry.camera_pinhole else min(reach, FAINT / liquids.thinnest)
-        parts = _parts_along_x(geometry, x_left, reach, edges, liquids.densest)
+        _fill_parts(parts_of, geometry, x_left, reach, edges, liquids.densest, pixel_mm)
         beside_faces = sometimes and cut_off(geometry, x_left, reach, edges)
-        if beside_faces and parts < SLANTED_PARTS and _unlike(geometry, x_left, reach, edges, (rows, pixel_mm)):
-            parts = SLANTED_PARTS
-        for part in range(parts):
-            for i in range(x_nodes.size):
+        if beside_faces:
+            _fill_parts_beside_faces(parts_of, geometry, x_left, reach, edges, grid)
+        for parts in np.unique(parts_of):
+            for node in range(parts * x_nodes.size):
+                part, i = divmod(node, x_nodes.size)
                 x = x_left + reach * (part + 0.5 + 0.5 * x_nodes[i]) / parts
+                share = strength * 0.5 * x_weights[i] / parts * reach / (pixel_mm * pixel_mm)
                 rows_of_ends(geometry, x, edges, ends)
                 top = min(max((ends[0] - y_first) / pixel_mm, 0.0), float(rows))
                 bottom = min(max((ends[-1] - y_first) / pixel_mm, -1.0), rows - 1.0)
                 if anywhere:
                     top, bottom = 0.0, min(rows, math.ceil(2.0 * geometry.half_width / pixel_mm)) - 1.0
                 for row in range(math.floor(top), math.floor(bottom) + 1):
+                    if parts_of[row] != parts:
+                        continue
                     low = y_first + row * pixel_mm
-                    high = min(low + pixel_mm, geometry.half_width)
-                    share = strength * 0.5 * x_weights[i] / parts * reach / (pixel_mm * pixel_mm)
-                    at, span = ends, (x, low, high)
+                    at, span = ends, (x, low, min(low + pixel_mm, geometry.half_width))
                     if beside_faces:
                         at = rows_found[: rows_cut_off(geometry, span, ends, edges, rows_found)]
                     add_across_sights(images[row, column], share, geometry, span, at, liquids, edges, sights)
 
 
 @kernel
-def _parts_along_x(geometry: Geometry, x_left: float, pixel_mm: float, edges: Edges, sigma_t: float) -> int:
-    """How many parts of a column of pixels to integrate separately along x: more where there are kinks, or dense."""
-    parts = min(1 + int(sigma_t * pixel_mm), MOST_PARTS)
+def _fill_parts(
+    parts: NDArray[np.int64], geometry: Geometry, x_left: float, width: float, edges: Edges, sigma_t: float,
+    pixel_mm: float,
+) -> None:  # fmt: skip
+    """Write to (rows,) how many parts of a column of pixels to integrate separately along x.
+
+    More where there are kinks, where light ends in one row on the left and in another on the right, or in dense water.
+    """
+    parts[:] = min(1 + int(sigma_t * width), MOST_PARTS)
+    if kinked(geometry, x_left, width, edges):
+        parts[:] = np.maximum(parts, KINKED_PARTS)
+        return
     left, right = np.empty(CUTS), np.empty(CUTS)
     rows_of_ends(geometry, x_left, edges, left)
-    rows_of_ends(geometry, x_left + pixel_mm, edges, right)
-    shift = geometry.half_width / pixel_mm
+    rows_of_ends(geometry, x_left + width, edges, right)
     for k in range(CUTS):
-        if math.floor(left[k] / pixel_mm + shift) != math.floor(right[k] / pixel_mm + shift):
-            parts = max(parts, SLANTED_PARTS)
-    return max(parts, KINKED_PARTS) if kinked(geometry, x_left, pixel_mm, edges) else parts
+        one = math.floor((left[k] + geometry.half_width) / pixel_mm)
+        other = math.floor((right[k] + geometry.half_width) / pixel_mm)
+        if one != other:
+            for row in range(max(min(one, other), 0), min(max(one, other), parts.size - 1) + 1):
+                parts[row] = max(parts[row], SLANTED_PARTS)
 
 
 @kernel
-def _unlike(geometry: Geometry, x_left: float, width: float, edges: Edges, grid: tuple[int, float]) -> bool:
-    """Whether lines of sight between two rows of a grid (rows, pixel) run unlike at both sides of a column."""
+def _fill_parts_beside_faces(
+    parts: NDArray[np.int64], geometry: Geometry, x_left: float, width: float, edges: Edges, grid: tuple[int, float]
+) -> None:
+    """The same where lines of sight between two rows of a grid (rows, pixel) run unlike at both sides of a column."""
     rows, pixel_mm = grid
     for row in range(rows + 1):
         y = row * pixel_mm - geometry.half_width + ASIDE * pixel_mm
         if y >= geometry.half_width:
             break
         if course(geometry, x_left + ASIDE * width, y, edges) != course(geometry, x_left + width, y, edges):
-            return True
-    return False
+            for beside in range(max(row - 1, 0), min(row, rows - 1) + 1):
+                parts[beside] = max(parts[beside], SLANTED_PARTS)

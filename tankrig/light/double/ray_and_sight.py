@@ -256,9 +256,16 @@ def share_within(height: float, reached: float, apart: float, depth: float) -> f
     """`share_seen` of a line of sight that reaches a depth, in water of a height, mm."""
     if reached >= (1.0 - 1e-12) * height:
         return 1.0  # down to the floor: nearly all lines
-    wide = math.hypot(apart, SPREAD * height)
-    top = math.asinh(-depth / wide)
-    return (math.asinh((reached - depth) / wide) - top) / (math.asinh((height - depth) / wide) - top)
+    wide2 = apart * apart + (SPREAD * height) ** 2
+    top = _grown(-depth, wide2)
+    return math.log(_grown(reached - depth, wide2) / top) / math.log(_grown(height - depth, wide2) / top)
+
+
+@part
+def _grown(deeper: float, wide2: float) -> float:
+    """w times the exponential of the inverse hyperbolic sine of so many mm over w, from w²."""
+    root = math.sqrt(deeper * deeper + wide2)
+    return deeper + root if deeper > 0.0 else wide2 / (root - deeper)
 
 
 @kernel

@@ -68,7 +68,7 @@ class Propagation:
 
     def __call__(self, emission: Single) -> Single:
         """(moments, nx, ny, nz) averages over cells of the radiance's moments from those of the emission."""
-        nx, ny, nz = self.cells.counts
+        nz = self.cells.counts[2]
         field = self._transformed(_sharpened(emission))
         level, signs = degrees(self.degree), parities(self.degree)
         turned = np.exp(-2j * np.pi * np.arange(field.shape[3]) * (nz - 1) / self.padded[2]).astype(np.complex64)
@@ -77,17 +77,37 @@ class Propagation:
             _multiply(field, self.direct, self.reflected, level, signs, turned, low, high)
 
         _in_parts(rows, self.direct.shape[1])
-        # Axis by axis, without the transforms of what is thrown away; so on the way there, without those of nothing.
-        field = scipy.fft.ifft(field, axis=1, workers=THREADS, overwrite_x=True)[:, :nx]
-        field = scipy.fft.ifft(field, axis=2, workers=THREADS, overwrite_x=True)[:, :, :ny]
-        seen: Single = scipy.fft.irfft(field, self.padded[2], axis=3, workers=THREADS)[..., :nz]
-        return seen
+        return self._back(field)
+
+    # Moment by moment, and axis by axis, without the transforms of nothing and of what is thrown away: on the way, all
+    # moments of a plane at once would take three times the memory.
 
     def _transformed(self, emission: Single) -> Spectra:
         """(moments, wave numbers along x, y and z) spectra of the emission."""
-        transform: Spectra = scipy.fft.rfft(emission, self.padded[2], axis=3, workers=THREADS)
-        transform = scipy.fft.fft(transform, self.padded[1], axis=2, workers=THREADS)
-        return scipy.fft.fft(transform, self.padded[0], axis=1, workers=THREADS)
+        nx, ny, nz = self.padded
+        field = np.empty((len(emission), nx, ny, nz // 2 + 1), np.complex64)
+
+        def moments(low: int, high: int) -> None:
+            for moment in range(low, high):
+                lines = scipy.fft.fft(scipy.fft.rfft(emission[moment], nz, axis=2), ny, axis=1)
+                field[moment] = scipy.fft.fft(lines, nx, axis=0)
+
+        _in_parts(moments, len(emission))
+        return field
+
+    def _back(self, field: Spectra) -> Single:
+        """(moments, nx, ny, nz) of spectra, which are used up."""
+        nx, ny, nz = self.cells.counts
+        seen = np.empty((len(field), nx, ny, nz), np.float32)
+
+        def moments(low: int, high: int) -> None:
+            for moment in range(low, high):
+                planes = scipy.fft.ifft(field[moment], axis=0, overwrite_x=True)[:nx]
+                lines = scipy.fft.ifft(planes, axis=1, overwrite_x=True)[:, :ny]
+                seen[moment] = scipy.fft.irfft(lines, self.padded[2], axis=2)[..., :nz]
+
+        _in_parts(moments, len(field))
+        return seen
 
 
 def _sharpened(emission: Single) -> Single:
