@@ -9,7 +9,7 @@ import pytest
 
 import tankrig
 from tankrig.benchmark.wide import wide_scene
-from tankrig.light.double import double_scattering
+from tankrig.light.double import GLANCE_FROM, double_scattering
 from tankrig.light.double.fineness import COARSE
 from tankrig.light.double.lit import fineness_of
 from tankrig.light.single import single_scattering
@@ -287,6 +287,22 @@ def test_rough_tables_of_order_2_err_by_no_more_than_is_said(number: int) -> Non
         (said,) = (one.bound for one in found.skipped if one.what.startswith("tables"))
         off = float(np.linalg.norm(found.orders[2] - fine)) / size
         assert off <= 1.1 * said <= 1.1 * most
+
+
+@pytest.mark.parametrize("number", [2, 17, 41, 53])
+def test_a_glance_tells_how_much_of_order_2_there_is(number: int) -> None:
+    """It decides how rough tables may be, by .05 of what it tells."""
+    scene = wide_scene(number, 20261130).scene
+    glance, fine = (float(np.linalg.norm(double_scattering(scene, each))) for each in (GLANCE_FROM, 0.005))
+    assert glance == pytest.approx(fine, rel=0.05)
+
+
+def test_a_glance_at_few_large_pixels_is_no_further_off() -> None:
+    """Nodes go by pixels, and cubics go through four of them."""
+    scene = wide_scene(2, 20261130).scene
+    scene = replace(scene, camera=replace(scene.camera, shape=(4, 6), pixel_mm=40.0))
+    glance, fine = (double_scattering(scene, each) for each in (GLANCE_FROM, 0.005))
+    assert relative(glance - fine, fine) < 0.05
 
 
 def test_no_tolerance_of_an_image_means_rough_tables() -> None:

@@ -9,9 +9,10 @@ between its two scatterings: the same integral with the line of sight mirrored a
 
 from tankrig.light.double.errors import ROUGH_ERRORS, may_be_rough, table_error
 from tankrig.light.double.image import double_scattering, double_scattering_of
+from tankrig.light.double.lit import GLANCE_FROM
 from tankrig.light.double.wall import Tabulated, numbers_of_wall, tables_of_wall
 
 __all__ = [
-    "ROUGH_ERRORS", "Tabulated", "double_scattering", "double_scattering_of", "may_be_rough", "numbers_of_wall",
-    "table_error", "tables_of_wall",
+    "GLANCE_FROM", "ROUGH_ERRORS", "Tabulated", "double_scattering", "double_scattering_of", "may_be_rough",
+    "numbers_of_wall", "table_error", "tables_of_wall",
 ]  # fmt: skip

@@ -13,7 +13,7 @@ PEAKED_ERROR = 0.003
 ROUGH_ERRORS = {ROUGHEST_FROM: 0.014, ROUGH_FROM: 0.0095}
 """What rough tables err by, relative L2 of order 2, by their tolerance; the roughest first."""
 MUCH_PER_MM = 0.02
-"""σs from which there is so much of order 2 that rough tables don't do, and are not tried."""
+"""σs from which there is so much of order 2 that rough tables don't do, and how much isn't looked at."""
 
 
 def table_error(scene: Scene, tolerance: float) -> float:

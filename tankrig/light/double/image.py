@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tankrig.compiled import kernel, part
 from tankrig.light.double.fineness import FINE, STEEP_G
-from tankrig.light.double.lit import COARSE_FROM, ROUGH_FROM, filled, lit_heights
+from tankrig.light.double.lit import COARSE_FROM, GLANCE_FROM, ROUGH_FROM, filled, lit_heights
 from tankrig.light.double.nodes import curvature
 from tankrig.light.double.ray_and_sight import BEYOND, depth_below, depth_seen, meet_beyond, nearest_row, share_within
 from tankrig.light.double.table import LitHeight, Stack, Table, lagrange, y_weights
@@ -40,6 +40,7 @@ MIRRORED_WIDEST_MM, FINE_MIRRORED_WIDEST_MM = (10.0, 4.0), (5.0, 1.5)
 """The same of light by way of the surface, which comes from afar: where tables are coarse, and where they are fine."""
 ROUGH_WIDEST_MM, ROUGH_MIRRORED_WIDEST_MM = (8.0, 1.5), (20.0, 8.0)
 """Both where tables are rough."""
+GLANCED_WIDEST_MM = (40.0, 10.0)
 PIECES = 4
 """Of a row of pixels whose lines of sight a side wall cuts at different depths: J and the share of light seen change
 together there, so that their product is averaged piece by piece. Beside steep light's edge a row was 10 % off."""
@@ -59,7 +60,8 @@ def double_scattering(scene: Scene, tolerance: float = 0.001) -> Array:
     scene
         Any scene.
     tolerance
-        Error of the whole image that is asked for, of which this order takes a tenth; or a key of `ROUGH_ERRORS`.
+        Error of the whole image that is asked for, of which this order takes a tenth; or a key of `ROUGH_ERRORS`, or
+        `GLANCE_FROM`.
 
     Returns
     -------
@@ -137,6 +139,8 @@ def double_scattering_of(
 
 def _widest_mm(mirrored: bool, steepest: float, tolerance: float) -> Interval:
     """Widest parts of beams, inside and where light leaves, for liquids up to a g."""
+    if tolerance >= GLANCE_FROM:
+        return GLANCED_WIDEST_MM
     if tolerance >= ROUGH_FROM:
         return ROUGH_MIRRORED_WIDEST_MM if mirrored else ROUGH_WIDEST_MM
     fine = tolerance < COARSE_FROM

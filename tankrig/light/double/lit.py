@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.light.double.filling import fill_stack
-from tankrig.light.double.fineness import COARSE, FEW_APART, FINE, ROUGH, ROUGHEST, Fineness
+from tankrig.light.double.fineness import COARSE, FEW_APART, FINE, GLANCE, ROUGH, ROUGHEST, Fineness
 from tankrig.light.double.table import LitHeight, Stack, Table
 from tankrig.light.rays import light_sources
 from tankrig.scene import Medium, Scene
@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 
 MOST_HEIGHTS = 4
 """Heights at most whose beams have a table each; more share one, as those of a projector's picture do."""
-COARSE_FROM, ROUGH_FROM, ROUGHEST_FROM = 0.005, 2.0, 3.0
-"""Tolerances from which tables are coarse, and rough, and as rough as can be. Images are asked for with 1 at most; the
-latter two are for order 2 where there is little of it."""
+COARSE_FROM, ROUGH_FROM, ROUGHEST_FROM, GLANCE_FROM = 0.005, 2.0, 3.0, 4.0
+"""Tolerances from which tables are coarse, and rough, and as rough as can be, and a glance. Images are asked for with 1
+at most; the next two are for order 2 where there is little of it, the last tells how little."""
 
 
 def lit_heights(scene: Scene) -> Iterator[LitHeight]:
@@ -52,7 +52,7 @@ def filled(
 
 def fineness_of(tolerance: float) -> Fineness:
     """How close a table's nodes have to be."""
-    for least, rough in ((ROUGHEST_FROM, ROUGHEST), (ROUGH_FROM, ROUGH), (COARSE_FROM, COARSE)):
+    for least, rough in ((GLANCE_FROM, GLANCE), (ROUGHEST_FROM, ROUGHEST), (ROUGH_FROM, ROUGH), (COARSE_FROM, COARSE)):
         if tolerance >= least:
             return rough
     return FINE

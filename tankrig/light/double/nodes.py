@@ -95,7 +95,7 @@ def laid_out(
     near_mm *= NEARER if peaked else 1.0
     if mirrored:
         ratio **= fineness.mirrored
-    x = _x_nodes(geometry, low, high, finest_mm, 2.0 if mirrored and not straight else 1.0)
+    x = _x_nodes(geometry, low, high, finest_mm, 1.0 if straight else fineness.along * (2.0 if mirrored else 1.0))
     decades = math.log(width / near_mm)
     first, last = -decades - math.log(1.0 + margin), -math.log(margin)
     nodes_y = np.exp(np.linspace(first, last, 1 + math.ceil((last - first) / math.log(ratio))))
@@ -215,7 +215,7 @@ def _x_nodes(geometry: Geometry, low: float, high: float, finest_mm: float, apar
 
     So many times farther apart than light wants that comes straight.
     """
-    finest_mm *= apart
+    finest_mm = min(apart * finest_mm, geometry.length)
     special = [0.0, geometry.length]
     for wall in (0.0, geometry.length):
         for z in (low, high):
@@ -226,7 +226,7 @@ def _x_nodes(geometry: Geometry, low: float, high: float, finest_mm: float, apar
             special.append((geometry.height - z) / uz * ux)
     places = np.array([place for place in special if 0.0 <= place <= geometry.length])
     x, nodes = 0.0, [0.0]
-    largest = apart * geometry.length / 28.0
+    largest = min(apart / 28.0, 0.25) * geometry.length  # cubics go through four nodes, so no step is longer
     while x < geometry.length:
         gap = np.abs(places - x)
         ahead = places[places > x + 1e-9]

@@ -106,8 +106,8 @@ def smoothed(
     along = legendre(batches.shape[2])
     coefficients, folds = _times(batches, along), _folds(len(batches), steady)
     kept = _kept(coefficients, folds)
-    left = seen(_times(coefficients - kept, along.T))
-    smooth = others + _times(kept, along.T)
+    light = _times(kept, along.T)
+    left, smooth = seen(batches - light), others + light
     lost = (np.zeros(left.shape[1:]), np.inf) if steady else _product_of_independent(left, folds)
     return Smoothed(smooth.mean(axis=0), *_variance(seen(smooth)), *lost)
 
@@ -132,7 +132,7 @@ def smoothed_classes(batches: Array, whole: Array, steady: bool = False) -> Arra
         along, folds = legendre(batches.shape[3]), _folds(len(batches), steady)
         for k in range(len(means)):
             if k != largest and np.any(means[k]):
-                means[k] = _kept(_times(batches[:, k], along), folds).mean(axis=0) @ along.T
+                means[k] = _kept_of_mean(_times(batches[:, k], along), folds) @ along.T
     means[largest] += whole - means.sum(axis=0)
     result: Array = means
     return result
@@ -162,6 +162,17 @@ def _kept(coefficients: Array, folds: NDArray[np.int64]) -> Array:
         here = folds == fold
         kept[here] = _projected(coefficients[~here], coefficients[here], waves=True)
     return kept
+
+
+def _kept_of_mean(coefficients: Array, folds: NDArray[np.int64]) -> Array:
+    """The mean of `_kept`, which is linear in what is projected: one mean of each fold does."""
+    if not folds.any():
+        return np.asarray(_kept(coefficients, folds).mean(axis=0))
+    total = np.zeros(coefficients.shape[1:])
+    for fold in range(folds.max() + 1):
+        here = folds == fold
+        total += _projected(coefficients[~here], coefficients[here].sum(axis=0)[None], waves=True)[0]
+    return np.asarray(total / len(coefficients))
 
 
 def _variance(batches: Array) -> tuple[Array, float]:
