@@ -59,7 +59,8 @@ COARSE = Fineness(
 )  # fmt: skip
 """Errs by 0.1 % at most, in less than half the time, and in a fifth of it where lines slant: there, of 66 random
 scenes, by .15 % of order 2 in the median, .32 in nine of ten, and .045 and .08 % of orders 1 and 2. Two rays for beams
-of 3.7 to 5.2 mm took a sixth longer and erred as much; with a finest length twice as long it is .13 % in nine of ten."""
+of 3.7 to 5.2 mm took a sixth longer and erred as much; with a finest length twice as long nine of ten are within .13.
+"""
 ROUGH = replace(COARSE, slanted_ratio=2.0, slanted_near=0.1)
 ROUGHEST = replace(ROUGH, nodes=2, slanted_curvature=0.003, apart=3.0)
 """Where lines slant, in a half and a quarter of the coarse ones' time: of 33 random scenes they err by .23 and .55 % of
