@@ -234,10 +234,9 @@ def kinked(geometry: Geometry, x_left: float, width: float, edges: Edges) -> boo
     """
     for k in range(2):
         near, far = _lit_between(geometry, x_left, width, edges, edges[2 + k])
-        straight = far - near <= width * (1.0 + 1e-9)  # looking straight down, a wall is a pixel's edge or outside
         margin = BESIDE * (far - near)  # rows between these two differ a little
-        for wall in (0.0, geometry.length):
-            if not straight and near - margin < wall < far + margin:
+        for wall in (0.0, geometry.length):  # looking straight down, a wall is a pixel's edge or outside
+            if geometry.camera_pinhole and near - margin < wall < far + margin:
                 return True
         # Where the light meets the surface or the floor.
         ux, _, uz = light_ray(geometry, 0.5 * (edges[0] + edges[1]), edges[2 + k])
