@@ -33,6 +33,7 @@ from tankrig.light.rays import (
     sight_line,
     sighting_row,
 )
+from tankrig.light.sorting import put_in_order
 
 Array = NDArray[np.float64]
 
@@ -50,6 +51,13 @@ MOST_ROWS = 32
 """Of a span, that it is cut at."""
 FAR_AWAY = 4.0
 """Of the tank's height or half of its width, beyond which light rays are not looked for any more."""
+MOST_PARTS = 64
+"""Of a pixel along x; in larger ones, counted in free paths, order 1 is a guess."""
+MOST_BREAKS, BREAK_STEPS = 10, 3
+"""Of a column of pixels: its two sides and, for four corners and two walls, where these meet; and steps to find those,
+nearly in proportion to x."""
+MOST_NODES = 2 * (MOST_PARTS + MOST_BREAKS)
+"""Along x in a pixel, two in each part."""
 BESIDE = 0.1
 """Of a column of pixels, beside which a wall still counts as cutting off some lines of sight through it."""
 TURNING, SHORTEST_MM = 0.1, 1.0
@@ -244,6 +252,69 @@ def kinked(geometry: Geometry, x_left: float, width: float, edges: Edges) -> boo
         if (left - geometry.height) * (right - geometry.height) < 0.0 or left * right < 0.0:
             return True
     return False
+
+
+@kernel
+def fill_breaks(breaks: Array, geometry: Geometry, left: float, right: float, edges: Edges) -> int:
+    """Write two x and those between them where an end wall comes to a corner of a beam as it is seen: how many.
+
+    Parameters
+    ----------
+    breaks
+        (`MOST_BREAKS`,) written to, in order.
+    geometry
+        Numbers of the scene.
+    left, right
+        The two x, on the surface.
+    edges
+        Of the beam.
+    """
+    breaks[0], breaks[1], count = left, right, 2
+    for corner in range(4 if geometry.camera_pinhole else 0):  # looking straight down, a wall is a pixel's edge
+        y0, z0 = edges[corner // 2], edges[2 + corner % 2]
+        first, last = _lit_at(geometry, left, y0, z0), _lit_at(geometry, right, y0, z0)
+        for wall in (0.0, geometry.length):
+            if (first - wall) * (last - wall) < 0.0:
+                low, high, before, after, x = left, right, first - wall, last - wall, left
+                for _ in range(BREAK_STEPS):
+                    x = low - before * (high - low) / (after - before)
+                    here = _lit_at(geometry, x, y0, z0) - wall
+                    if here * after > 0.0:
+                        high, after = x, here
+                    else:
+                        low, before = x, here
+                breaks[count] = x
+                count += 1
+    put_in_order(breaks[:count])
+    return count
+
+
+@kernel
+def fill_nodes(at: Array, weights: Array, breaks: Array, parts: int, rule: Rule) -> int:
+    """Write where to integrate between ascending breaks, and weights, mm: how many nodes.
+
+    Parameters
+    ----------
+    at, weights
+        (`MOST_NODES`,) written to.
+    breaks
+        Of `fill_breaks`.
+    parts
+        That all between the first and the last would be cut into evenly; there is one at least between two.
+    rule
+        In each part.
+    """
+    nodes, shares = rule
+    whole, count = breaks[-1] - breaks[0], 0
+    for piece in range(breaks.size - 1):
+        wide = breaks[piece + 1] - breaks[piece]
+        many = max(1, math.ceil(parts * wide / whole - 1e-9))
+        for step in range(many):
+            for i in range(nodes.size):
+                at[count] = breaks[piece] + wide * (step + 0.5 + 0.5 * nodes[i]) / many
+                weights[count] = 0.5 * shares[i] * wide / many
+                count += 1
+    return count
 
 
 @kernel

@@ -17,12 +17,17 @@ from numpy.typing import NDArray
 from tankrig.compiled import kernel
 from tankrig.light.cuts import CUTS, rows_of_ends
 from tankrig.light.line_of_sight import (
+    MOST_BREAKS,
+    MOST_NODES,
+    MOST_PARTS,
     MOST_ROWS,
     SharpBeam,
     add_across_sights,
     course,
     cut_off,
     ever_cut_off,
+    fill_breaks,
+    fill_nodes,
     kinked,
     rows_cut_off,
     strays,
@@ -40,6 +45,8 @@ KINKED_PARTS = 12
 """Parts a pixel is cut into along x where the near or far wall cuts the lit part of its lines of sight."""
 KINKED_SHARE = 1 / 1200
 """Of the tank's height, and wide enough for such a part: the lit part of a line is cut off within ten such widths."""
+BROKEN_PARTS = 6
+"""The same where it is known at which x the wall comes to a corner of the beam."""
 SLANTED_PARTS = 5
 """The same where an edge of the beam runs from one row of pixels into the next."""
 STEPS = 512
@@ -161,7 +168,7 @@ def _add_slice(
     outside = ends[:, -1].max() < min(low_left, low_right) or ends[:, 0].min() > max(high_left, high_right)
     if outside and not lit.anywhere:
         return
-    parts = 1 + int(liquids.densest * width)
+    parts = min(1 + int(liquids.densest * width), MOST_PARTS)
     whole = xs.max() - xs.min()  # a narrow slice needs fewer parts
     for k in range(CUTS):
         if (ends[0, k] < low_left) != (ends[1, k] < low_right) or (ends[0, k] < high_left) != (ends[1, k] < high_right):
@@ -171,26 +178,28 @@ def _add_slice(
         for y_left, y_right in ((low_left, low_right), (high_left, high_right)):
             if course(geometry, left, y_left, edges) != course(geometry, right, y_right, edges):
                 parts = max(parts, math.ceil(SLANTED_PARTS * width / whole))
+    breaks, at_x, over_x = np.empty(MOST_BREAKS), np.empty(MOST_NODES), np.empty(MOST_NODES)
+    breaks[0], breaks[1], count = left, right, 2
     if kinked(geometry, left, width, edges):
+        count = fill_breaks(breaks, geometry, left, right, edges)
         enough = math.ceil(width / (KINKED_SHARE * geometry.height))
-        parts = max(parts, min(math.ceil(KINKED_PARTS * width / whole), enough))
-    nodes, weights = rules.x
-    sliver = width < SLIVER * whole
+        many = KINKED_PARTS if count == 2 else BROKEN_PARTS
+        parts = max(parts, min(math.ceil(many * width / whole), enough))
+    nodes = fill_nodes(at_x, over_x, breaks[:count], parts, rules.x)
+    if width < SLIVER * whole:
+        at_x[0], over_x[0], nodes = 0.5 * (left + right), width, 1
     cuts, rows_found = ends[0], np.empty(MOST_ROWS if beside_faces else 0)
-    for part in range(parts):
-        for i in range(1 if sliver else nodes.size):
-            x = left + width * (part + 0.5 + (0.0 if sliver else 0.5 * nodes[i])) / parts
-            low, high = _span(geometry, xs, ys, x)
-            if high <= low:
-                continue
-            _ends_at(along, x, geometry.length, cuts)
-            if (cuts[-1] <= low or cuts[0] >= high) and not lit.anywhere:
-                continue
-            share = strength * 0.5 * width / parts * (2.0 if sliver else weights[i])
-            span, at = (x, low, high), cuts
-            if beside_faces:
-                at = rows_found[: rows_cut_off(geometry, span, cuts, edges, rows_found)]
-            add_across_sights(found, share, geometry, span, at, liquids, edges, sights)
+    for node in range(nodes):
+        low, high = _span(geometry, xs, ys, at_x[node])
+        if high <= low:
+            continue
+        _ends_at(along, at_x[node], geometry.length, cuts)
+        if (cuts[-1] <= low or cuts[0] >= high) and not lit.anywhere:
+            continue
+        span, at = (at_x[node], low, high), cuts
+        if beside_faces:
+            at = rows_found[: rows_cut_off(geometry, span, cuts, edges, rows_found)]
+        add_across_sights(found, strength * over_x[node], geometry, span, at, liquids, edges, sights)
 
 
 @kernel

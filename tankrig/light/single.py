@@ -14,26 +14,29 @@ from tankrig.compiled import kernel
 from tankrig.light.cuts import CUTS, rows_of_ends
 from tankrig.light.line_of_sight import (
     FAINT,
+    MOST_BREAKS,
+    MOST_NODES,
+    MOST_PARTS,
     MOST_ROWS,
     SharpBeam,
     add_across_sights,
     course,
     cut_off,
     ever_cut_off,
+    fill_breaks,
+    fill_nodes,
     kinked,
     rows_cut_off,
     strays,
 )
 from tankrig.light.liquids import Liquids, liquids_of
-from tankrig.light.quadrangles import KINKED_PARTS, SLANTED_PARTS, single_scattering_in_quadrangles
+from tankrig.light.quadrangles import BROKEN_PARTS, KINKED_PARTS, SLANTED_PARTS, single_scattering_in_quadrangles
 from tankrig.light.quadrature import PixelRules, pixel_rules
 from tankrig.light.rays import Edges, Geometry, light_sources
 from tankrig.scene import Medium, Scene
 
 ASIDE = 1e-6
 """Of a pixel, beside its edges, where lines of sight are looked at: beams like to end at edges, and tanks do."""
-MOST_PARTS = 64
-"""Along x; in larger pixels, counted in free paths, order 1 is a guess."""
 
 
 def single_scattering(scene: Scene) -> NDArray[np.float64]:
@@ -89,11 +92,11 @@ def _add_beam(
 
     ⟨I₁⟩ = 1/(Δx Δy) ∫ dx ∫ dy I₁(x, y)   over each pixel, I₁ as in `line_of_sight`
     """
-    edges, strength = beam
-    (x_nodes, x_weights), sights = rules
+    (edges, strength), sights = beam, rules.sights
     rows, columns, _ = images.shape
     grid, y_first = (rows, pixel_mm), -geometry.half_width
     ends, rows_found, parts_of = np.empty(CUTS), np.empty(MOST_ROWS), np.empty(rows, np.int64)
+    breaks, at_x, over_x = np.empty(MOST_BREAKS), np.empty(MOST_NODES), np.empty(MOST_NODES)
     sometimes = ever_cut_off(geometry, edges)
     anywhere = sometimes and strays(geometry, edges)
     for column in range(columns):
@@ -103,15 +106,14 @@ def _add_beam(
         # Of the pixel lies in the tank, and looking straight down, light fades with x as it does on its way.
         reach = min(pixel_mm, geometry.length - x_left)
         reach = reach if geometry.camera_pinhole else min(reach, FAINT / liquids.thinnest)
-        _fill_parts(parts_of, geometry, x_left, reach, edges, liquids.densest, pixel_mm)
+        between = breaks[: fill_breaks(breaks, geometry, x_left, x_left + reach, edges)]
+        _fill_parts(parts_of, geometry, x_left, reach, edges, liquids.densest, pixel_mm, between.size - 1)
         beside_faces = sometimes and cut_off(geometry, x_left, reach, edges)
         if beside_faces:
             _fill_parts_beside_faces(parts_of, geometry, x_left, reach, edges, grid)
         for parts in np.unique(parts_of):
-            for node in range(parts * x_nodes.size):
-                part, i = divmod(node, x_nodes.size)
-                x = x_left + reach * (part + 0.5 + 0.5 * x_nodes[i]) / parts
-                share = strength * 0.5 * x_weights[i] / parts * reach / (pixel_mm * pixel_mm)
+            for node in range(fill_nodes(at_x, over_x, between, parts, rules.x)):
+                x, share = at_x[node], strength * over_x[node] / (pixel_mm * pixel_mm)
                 rows_of_ends(geometry, x, edges, ends)
                 top = min(max((ends[0] - y_first) / pixel_mm, 0.0), float(rows))
                 bottom = min(max((ends[-1] - y_first) / pixel_mm, -1.0), rows - 1.0)
@@ -130,7 +132,7 @@ def _add_beam(
 @kernel
 def _fill_parts(
     parts: NDArray[np.int64], geometry: Geometry, x_left: float, width: float, edges: Edges, sigma_t: float,
-    pixel_mm: float,
+    pixel_mm: float, pieces: int,
 ) -> None:  # fmt: skip
     """Write to (rows,) how many parts of a column of pixels to integrate separately along x.
 
@@ -138,8 +140,7 @@ def _fill_parts(
     """
     parts[:] = min(1 + int(sigma_t * width), MOST_PARTS)
     if kinked(geometry, x_left, width, edges):
-        parts[:] = np.maximum(parts, KINKED_PARTS)
-        return
+        parts[:] = np.maximum(parts, KINKED_PARTS if pieces == 1 else BROKEN_PARTS)
     left, right = np.empty(CUTS), np.empty(CUTS)
     rows_of_ends(geometry, x_left, edges, left)
     rows_of_ends(geometry, x_left + width, edges, right)

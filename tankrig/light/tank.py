@@ -22,13 +22,13 @@ from tankrig.light.double import (
 from tankrig.light.entering import edged_and_smooth, entering, is_plain, through_lens
 from tankrig.light.high_orders import LOST_USUALLY, MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
 from tankrig.light.leaving import CameraLens
+from tankrig.light.line_of_sight import MOST_PARTS
 from tankrig.light.moments.plan import FINE, MomentPlan, moment_plan
 from tankrig.light.order_one import once, once_seen, once_sent_back, once_through
 from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
 from tankrig.light.paths.smoothing import smoothed
 from tankrig.light.rays import shift_invariant
-from tankrig.light.single import MOST_PARTS
 from tankrig.light.surface import lookup_error, many_to_camera, on_surface
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
 from tankrig.scene import Medium, Scene
