@@ -173,6 +173,15 @@ def test_predict_writes_arrays_and_a_picture(tmp_path: Path, capsys: pytest.Capt
     assert metadata["scene"]["medium"] == {"sigma_a": 0.0002, "sigma_s": 0.0018, "g": 0.0}
 
 
+def test_coefficients_that_look_like_per_metre_are_doubted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Minutes passed without a word, and the image was nearly dark."""
+    scene = tmp_path / "scene.toml"
+    for sigma_s, doubted in (("1.8", True), ("0.0018", False)):
+        scene.write_text(SCENE.read_text(encoding="utf-8").replace("0.0018", sigma_s), encoding="utf-8")
+        assert main(["predict", str(scene), "--model", "single", "--out", str(tmp_path)]) == 0
+        assert ("per mm, not per metre" in capsys.readouterr().err) == doubted
+
+
 def test_predict_with_json_prints_one_line_of_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "image.npz"
     assert main(["predict", str(SCENE), "--model", "single", "--out", str(file), "--json"]) == 0

@@ -84,6 +84,9 @@ def test_one_command_tells_it_as_a_table_and_as_numbers(
     assert main(common) == 0
     text = capsys.readouterr().out
     assert "ΔBIC" in text
+    assert text.startswith(str(picture[0]))
+    assert "RMSE in the image's unit" in text
+    assert f"{QUICK[0].name}, by this image alone: The " in text  # why coefficients are in brackets, or are not
     assert "diffuse limit" in text
 
 

@@ -129,6 +129,7 @@ def test_a_picture_comes_from_its_file_pixel_by_pixel(tmp_path):
     [
         (lambda: Full(level=0), "level = 0 is outside 1…255"),
         (lambda: Sheet((-60.0, 60.0), (130.0, 140.0)), r"z_mm = \[130, 140\] lights no pixel"),
+        (lambda: Sheet((60.0, -60.0), (50.0, 60.0)), r"y_mm = \[60, -60\] has no width; give \[low, high\]"),
         (lambda: Rays((0.0,), (58.0, 62.0), width_mm=0.1), "lights no pixel"),
         (lambda: Rays((), (58.0, 62.0)), "y_mm is empty"),
         (lambda: Stripes(0.5), "finer than the projector's pixels"),

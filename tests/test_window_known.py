@@ -32,6 +32,16 @@ def test_a_weighed_pump_is_known_with_the_windows_confidence(tmp_path: Path) -> 
     assert value.endswith("µl (standard deviation)")
 
 
+def test_a_simulated_pump_needs_no_weighing_wherever_that_is_said(tmp_path: Path) -> None:
+    """The list said "not yet" beside a tick on the tab that leads through it."""
+    file = write_rig(tmp_path)
+    rig = load_rig_file(file)
+    (known,) = (one for one in known_of(rig, file, tmp_path) if one.what == "pump, weighed")
+    step = calibration_steps(rig, [])["pump"]
+    assert (known.value, known.note) == ("not needed", step.finding)
+    assert step.done
+
+
 @pytest.mark.parametrize("camera", ["orthographic", "pinhole"])
 def test_what_a_telecentric_lens_makes_needless_is_missing_nowhere(tmp_path: Path, camera: str) -> None:
     """ "Not yet" and "has not been measured" stood beside a tick for the same camera."""

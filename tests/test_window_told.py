@@ -336,6 +336,19 @@ def test_light_that_misses_the_tank_is_told_where_it_is_drawn(window, tmp_path):
     until(lambda: cut not in on_page.words_on(window.projector))
 
 
+def test_what_was_wrong_before_does_not_stay_beside_what_is_wrong_now(window):
+    """ "[60, -60] lights no pixel" stood there when the field held letters."""
+    window.show_page(window.projector)
+    on_page.choice(window.projector, "A pattern to show between runs").setCurrentText("sheet")
+    typed = window.projector.findChild(Form).rows["y_mm"]
+    on_page.fill(typed, "60 -60")
+    until(lambda: "y_mm = [60, -60] has no width" in on_page.words_on(window.projector))
+    on_page.fill(typed, "abc")
+    until(lambda: "has no width" not in on_page.words_on(window.projector))
+    on_page.fill(typed, "60 -60")
+    until(lambda: "has no width" in on_page.words_on(window.projector))
+
+
 def test_a_press_long_after_the_first_is_no_second_one(window, monkeypatch):
     """Who pressed once, and comes back an hour later, must not have the tank's ink forgotten at a touch."""
     monkeypatch.setattr("ui.window.doser_page.SURE_MS", 20)

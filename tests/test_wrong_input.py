@@ -104,7 +104,7 @@ SEQUENCE = (TREE / "docs" / "examples" / "dilution.toml").read_text(encoding="ut
 RIG = (TREE / "drivers" / "simulated" / "rig.toml").read_text(encoding="utf-8")
 LOOP = '[[steps]]\ndo = "repeat"\ntimes = 1000000000\nsteps = [{ do = "note", text = "x" }]\n'
 WRONG: dict[str, tuple[list[str], dict[str, str | bytes], str]] = {
-    "a folder as an image": (["fit", ".", "--scene", "s.toml"], {"s.toml": SCENE}, "convert it"),
+    "a folder as an image": (["fit", ".", "--scene", "s.toml"], {"s.toml": SCENE}, "is a folder; give an image"),
     "a folder that is no run": (["run", "--resume", "."], {}, "is not a run"),
     "no folder for a run": (["run", "q.toml", "--out", "/"], {"q.toml": SEQUENCE}, "give another"),
     "a name of 300 letters": (["predict", "s.toml", "--out", "x" * 300], {"s.toml": SCENE}, "File name too long"),

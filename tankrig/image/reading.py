@@ -102,6 +102,8 @@ def _values(path: str | os.PathLike[str], array: str | None) -> NDArray[np.gener
     """What a file holds."""
     file = Path(path)
     suffix = file.suffix.lower()
+    if file.is_dir():
+        raise ImageError(f"{file}: is a folder; give an image file in it")
     if suffix not in NUMPY_SUFFIXES + PICTURE_SUFFIXES:
         raise ImageError(
             f"{file}: is none of {', '.join(NUMPY_SUFFIXES + PICTURE_SUFFIXES)}; convert it to one of them"

@@ -415,6 +415,7 @@ def gray_code_series(wall: Wall) -> tuple[GrayCode, ...]:
 
 def _inside(wall: Wall, name: Literal["y", "z"], low: float, high: float) -> NDArray[np.bool_]:
     """Which columns (y) or rows (z) have their centre in [low, high]."""
+    _require(low < high, f"{name}_mm = [{low:g}, {high:g}] has no width; give [low, high] with low < high")
     centres = wall.y_centres_mm if name == "y" else wall.z_centres_mm
     inside: NDArray[np.bool_] = (centres >= low) & (centres <= high)
     edges = sorted(wall.y_mm if name == "y" else wall.z_mm)

@@ -15,7 +15,7 @@ from ui.cli.tables import tell_table
 
 if TYPE_CHECKING:
     from tankrig.estimation.comparison import Compared, Comparison
-    from tankrig.scene import Scene
+    from tankrig.live.exposures import Photograph
 
 SHOWN = {"sigma_s": "σs, 1/mm", "g": "g", "sigma_a": "σa, 1/mm"}
 UNKNOWN = 10.0
@@ -58,13 +58,17 @@ def compare(
     sigma: Any = noise
     mask: Any = None
     if given.is_dir():
-        image, scene, sigma, offset, mask = _photograph(given, dose_ml, pattern, noise, offset)
+        photograph = _photograph(given, dose_ml, pattern)
+        shown = f"{photograph.pattern} at {photograph.dose_ml:g} ml"
+        image, scene, mask = photograph.image, photograph.scene, photograph.mask
+        sigma = photograph.noise if noise is None else noise
+        offset = photograph.offset if offset == "free" else offset
     elif not given.exists():
         raise tankrig.ImageError(f"{given}: does not exist; give an image, or the folder of a run")
     elif scene_file is None:
         raise click.UsageError("an image needs --scene FILE")
     else:
-        scene, image = tankrig.load_scene(scene_file), read_image(given, array, scale)
+        scene, image, shown = tankrig.load_scene(scene_file), read_image(given, array, scale), str(given)
         mask = blurred_pixels(scene)
     with stages_shown() as told:
         try:
@@ -76,12 +80,11 @@ def compare(
         rows = [_row(row) for row in found.rows]
         click.echo(json.dumps({"pixels": found.pixels, "effective_pixels": found.effective, "models": rows}))
     else:
+        click.echo(shown)
         _tell(found)
 
 
-def _photograph(
-    folder: Path, dose_ml: float | None, pattern: str | None, noise: float | None, offset: Any
-) -> "tuple[Any, Scene, Any, Any, Any]":
+def _photograph(folder: Path, dose_ml: float | None, pattern: str | None) -> "Photograph":
     """One of a run's photographs."""
     from tankrig.live.exposures import exposures_of
     from tankrig.run.reading import open_run
@@ -93,9 +96,7 @@ def _photograph(
     if not here or (dose_ml is not None and abs(dose - dose_ml) > 0.01 * dose):
         there = ", ".join(sorted({f"{one.pattern} at {one.dose_ml:g} ml" for one in photographs})) or "none"
         raise ImageError(f"{folder}: has no such photograph of ink; there is {there}")
-    one = here[0]
-    sigma = one.noise if noise is None else noise
-    return one.image, one.scene, sigma, one.offset if offset == "free" else offset, one.mask
+    return here[0]
 
 
 def _row(row: "Compared") -> dict[str, Any]:
@@ -131,9 +132,12 @@ def _tell(found: "Comparison") -> None:
         rows.append((row.contender.name, f"{row.estimate.rmse:.3g}", *_cells(row), *numbers))
     tell_table(("model", "RMSE", *SHOWN.values(), "ΔAIC", "ΔBIC", "s"), rows, styles=styles)
     click.echo(
-        f"± half of the {LEVEL:.0%} interval; a coefficient in brackets is not determined; criteria count "
-        f"{found.effective:.0f} independent pixels of {found.pixels}"
+        f"RMSE in the image's unit; ± half of the {LEVEL:.0%} interval; a coefficient in brackets is not determined; "
+        f"criteria count {found.effective:.0f} independent pixels of {found.pixels}"
     )
+    best = next((row for row in found.rows if row.bic == 0.0), None)
+    if best is not None and best.estimate is not None:
+        click.echo(f"{best.contender.name}, by this image alone: {best.estimate.verdict}")
     for row in found.rows:
         if row.refusal:
             click.echo(f"{row.contender.name}: {row.refusal}")

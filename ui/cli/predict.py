@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from tankrig.prediction import Prediction
     from tankrig.scene import Scene
 
+MOST_FREE_PATHS = 100.0
+"""Along the tank; experiments have a few, whole milk has some thousands."""
+
 
 @click.command(epilog="Example: tankrig predict scene.toml --tolerance 0.005 --out predicted")
 @click.argument("scene_file", metavar="SCENE", type=click.Path(path_type=Path))
@@ -68,6 +71,8 @@ def predict(
     from tankrig.image.prediction_file import write_prediction
 
     scene = tankrig.load_scene(scene_file)
+    if doubt := _per_metre(scene):
+        click.echo(f"note: {doubt}", err=True)
     arrays = out if out.suffix == ".npz" else out / f"{scene_file.stem}.npz"
     picture = arrays.with_suffix(".png")
     require_writable(arrays.parent)
@@ -94,6 +99,18 @@ def predict(
     if missed:
         click.echo(f"missed   {missed}")
     click.echo(f"written  {arrays}\n         {picture}")
+
+
+def _per_metre(scene: "Scene") -> str:
+    """A doubt about the unit of coefficients that make milk of the tank; empty where there is none."""
+    medium, length_mm = scene.medium, scene.tank.size_mm[0]
+    free_paths = medium.sigma_t * length_mm
+    if free_paths <= MOST_FREE_PATHS:
+        return ""
+    return (
+        f"σa + σs = {medium.sigma_t:g}/mm are {free_paths:.0f} free paths along the tank of {length_mm:g} mm, which "
+        "may take minutes; coefficients are per mm, not per metre"
+    )
 
 
 def _dark(prediction: "Prediction", scene: "Scene") -> bool:

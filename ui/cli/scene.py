@@ -64,7 +64,8 @@ class Bins(click.ParamType[Any]):
     metavar="FILE",
     help='Sequence (TOML) that has the pattern; "full" and "dark" are known without.',
 )
-@click.option("--medium", type=Coefficients(), help="In the tank, per mm; default: a placeholder, said to be one.")
+@click.option("--medium", type=Coefficients(), metavar="σa,σs,g",
+              help="In the tank, per mm; default: a placeholder, said to be one.")  # fmt: skip
 @click.option(
     "--bin", "bins", type=Bins(), default="1", show_default=True, help="Camera pixels along a pixel of the scene."
 )

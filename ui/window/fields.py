@@ -166,7 +166,7 @@ class NumberField(CheckedField):
             if value is None or (whole and value != int(value)):
                 return None, f"{text or 'nothing'} is no {'whole ' if whole else ''}number; give {span}"
             if not within.holds(value):
-                return None, f"{value:g} is outside of {span}"
+                return None, f"{value:.10g} is outside of {span}"
             return (int(value) if whole else value), ""
 
         within = Within(low, high, "", above, below)

@@ -51,6 +51,7 @@ class FitCurves(QWidget):
                 axis.enableAutoSIPrefix(False)
                 axis.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
                 axis.setTickDensity(0.6)  # side by side, numbers have little room
+            plot.getAxis("left").setTickDensity(0.3)  # nor one above the other, on a screen 800 high
             plot.getAxis("left").setWidth(AXIS_PX)
             plot.setLabel("bottom", "ink (ml)")
             plot.showGrid(x=True, y=True, alpha=0.2)

@@ -101,9 +101,12 @@ class ProjectorPage(QWidget):
         self._show.setEnabled(self._free and not self._wrong.text() and not self._doubts)
 
     def _doubt(self, name: str, why: str) -> None:
-        self._doubts.discard(name)
         if why:
             self._doubts.add(name)
+            self._wrong.clear()  # it is about what stood there before
+        elif name in self._doubts:
+            self._doubts.discard(name)
+            self._preview()
         self._allow()
 
     def _pattern(self) -> Pattern | None:

@@ -4,7 +4,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
     QApplication,
     QLabel,
@@ -103,7 +103,6 @@ class SequencePage(QWidget):
         column.addWidget(self.tabs, 1)
         column.addWidget(self._says)
         column.addWidget(self._notes)
-        column.addWidget(self._water, 0, Qt.AlignmentFlag.AlignLeft)
         column.addLayout(self._foot())
         self.document.changed.connect(self._refresh)
         self.document.undo.canUndoChanged.connect(self._undone)
@@ -364,4 +363,4 @@ class SequencePage(QWidget):
         self._run.setToolTip("carry the sequence out")
         self._run.clicked.connect(self.run_asked)
         self._of_sequence = (with_name("exposure", self._exposure), dry, self._run)
-        return Flow(*self._of_sequence)
+        return Flow(*self._of_sequence, self._water)
