@@ -41,6 +41,7 @@ MIRRORED_WIDEST_MM, FINE_MIRRORED_WIDEST_MM = (10.0, 4.0), (5.0, 1.5)
 ROUGH_WIDEST_MM, ROUGH_MIRRORED_WIDEST_MM = (8.0, 1.5), (20.0, 8.0)
 """Both where tables are rough."""
 GLANCED_WIDEST_MM = (40.0, 10.0)
+"""Both at a glance, by way of the surface too."""
 PIECES = 4
 """Of a row of pixels whose lines of sight a side wall cuts at different depths: J and the share of light seen change
 together there, so that their product is averaged piece by piece. Beside steep light's edge a row was 10 % off."""
