@@ -159,7 +159,8 @@ def _tell(prediction: "Prediction", seconds: float) -> None:
     click.echo(f"image    mean {prediction.image.mean():.4g}, peak {prediction.image.max():.4g} W/mm²/sr")
     if prediction.orders:
         click.echo("orders   " + ", ".join(f"{order}: {share:.1%}" for order, share in _shares(prediction).items()))
-    click.echo(f"error    {prediction.error:.2g} stated, of which noise and smoothing {prediction.noise:.2g}")
+    noise = f"of which noise and smoothing {prediction.noise:.2g}"
+    click.echo(f"error    {prediction.error:.2g} of the image's L2 norm stated, {noise}")
     for part in prediction.skipped:
         if part.bound == 0.0:  # it changes nothing, or the error above holds it
             continue
