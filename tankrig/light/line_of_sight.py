@@ -40,7 +40,8 @@ Array = NDArray[np.float64]
 FAINT = 60.0
 """Free paths after which light is fainter than any rounding."""
 SHORT = 1 / 800
-"""Of the tank's height: twice so far, between two cuts, light changes so evenly that two lines of sight do."""
+"""Of the tank's height: twice so far, between two cuts, light changes so evenly that two lines of sight do, and one in
+the middle of a pixel in which it has no end."""
 EVEN = 1 / 40
 """Of the nearer of projector and camera from the tank: over so much, light that has no end there does likewise."""
 ROOT_THIRD = math.sqrt(1.0 / 3.0)
@@ -92,7 +93,10 @@ def add_across_sights(
         end = min(max(ends[k], low), high) if k < ends.size else high
         half = 0.5 * (end - start)
         even = start == low and end == high and end - start <= _even_over(geometry)
-        if half > 0.0 and (even or half <= SHORT * geometry.height):
+        if even and half <= SHORT * geometry.height:
+            y = start + half
+            _add_along_sight(found, factor * (end - start), geometry, x, y, liquids, edges, depth_rule)
+        elif half > 0.0 and (even or half <= SHORT * geometry.height):
             for side in (-ROOT_THIRD, ROOT_THIRD):
                 y = start + half * (1.0 + side)
                 _add_along_sight(found, factor * half, geometry, x, y, liquids, edges, depth_rule)

@@ -18,6 +18,7 @@ from tankrig.light.line_of_sight import (
     MOST_NODES,
     MOST_PARTS,
     MOST_ROWS,
+    SHORT,
     SharpBeam,
     add_across_sights,
     course,
@@ -35,6 +36,8 @@ from tankrig.light.quadrature import PixelRules, pixel_rules
 from tankrig.light.rays import Edges, Geometry, light_sources
 from tankrig.scene import Medium, Scene
 
+THIN = 0.1
+"""Free paths along a column of small pixels, in the middle of which one node does: 4e-4 of its light."""
 ASIDE = 1e-6
 """Of a pixel, beside its edges, where lines of sight are looked at: beams like to end at edges, and tanks do."""
 
@@ -92,7 +95,7 @@ def _add_beam(
 
     ⟨I₁⟩ = 1/(Δx Δy) ∫ dx ∫ dy I₁(x, y)   over each pixel, I₁ as in `line_of_sight`
     """
-    (edges, strength), sights = beam, rules.sights
+    (edges, strength), sights, x_nodes = beam, rules.sights, rules.x[0].size
     rows, columns, _ = images.shape
     grid, y_first = (rows, pixel_mm), -geometry.half_width
     ends, rows_found, parts_of = np.empty(CUTS), np.empty(MOST_ROWS), np.empty(rows, np.int64)
@@ -112,7 +115,10 @@ def _add_beam(
         if beside_faces:
             _fill_parts_beside_faces(parts_of, geometry, x_left, reach, edges, grid)
         for parts in np.unique(parts_of):
-            for node in range(fill_nodes(at_x, over_x, between, parts, rules.x)):
+            nodes = fill_nodes(at_x, over_x, between, parts, rules.x)
+            if nodes == x_nodes and reach <= 2.0 * SHORT * geometry.height and liquids.densest * reach < THIN:
+                at_x[0], over_x[0], nodes = x_left + 0.5 * reach, reach, 1
+            for node in range(nodes):
                 x, share = at_x[node], strength * over_x[node] / (pixel_mm * pixel_mm)
                 rows_of_ends(geometry, x, edges, ends)
                 top = min(max((ends[0] - y_first) / pixel_mm, 0.0), float(rows))

@@ -54,6 +54,50 @@ def on_surface(scene: Scene, cell_mm: float | None = None) -> Scene:
     return replace(scene, camera=Camera("pinhole", (rows, columns), cell, scene.camera.position_mm))
 
 
+def in_larger_pixels(scene: Scene, most_mm: float) -> tuple[Scene, int]:
+    """The scene with a plain camera of larger pixels where its own are small, and how many of its own along their side.
+
+    The tank ends with a pixel of either, so that `in_own_pixels` finds no edge between them; 1 where no larger ones do.
+
+    Parameters
+    ----------
+    scene
+        Any scene.
+    most_mm
+        Side of the larger pixels at most.
+
+    Examples
+    --------
+    >>> from tankrig.scene import Beam, Medium, Projector
+    >>> light = Projector("collimated", (Beam((-2.0, 2.0), (58.0, 62.0)),))
+    >>> camera = Camera("pinhole", (640, 960), 0.25, (120.0, 0.0, 600.0))
+    >>> larger, along = in_larger_pixels(Scene(Tank(), Medium(0.0, 0.01, 0.0), light, camera), 1.0)
+    >>> along, larger.camera.shape
+    (4, (160, 240))
+    """
+    camera, (length, width, _) = scene.camera, scene.tank.size_mm
+    for along in range(int(most_mm / camera.pixel_mm + 1e-9) if camera.kind == "pinhole" else 1, 1, -1):
+        side = along * camera.pixel_mm
+        whole = all(abs(size / side - round(size / side)) < 1e-6 for size in (length, width))
+        if whole and not any(count % along for count in camera.shape):
+            shape = camera.shape[0] // along, camera.shape[1] // along
+            return replace(scene, camera=replace(camera, shape=shape, pixel_mm=side)), along
+    return scene, 1
+
+
+def in_own_pixels(image: Array, along: int) -> Array:
+    """An image of larger pixels in so many small ones along each side: cubics between, whose means over the larger are
+    theirs."""
+    from scipy.interpolate import make_interp_spline
+
+    for axis in (0, 1) if along > 1 else ():
+        rows = np.moveaxis(image, axis, 0)
+        summed = np.vstack([np.zeros_like(rows[:1]), np.cumsum(rows, axis=0)])
+        fine = make_interp_spline(np.arange(len(summed)), summed, k=3)(np.arange(len(rows) * along + 1) / along)
+        image = np.moveaxis(along * np.diff(fine, axis=0), 0, axis)
+    return image
+
+
 def lookup_error(scene: Scene) -> float:
     """What light scattered twice errs by where it is looked up, of its norm; 0 for plain cameras.
 

@@ -29,7 +29,7 @@ from tankrig.light.paths.cells import CellGrid
 from tankrig.light.paths.lattices import traced
 from tankrig.light.paths.smoothing import smoothed
 from tankrig.light.rays import shift_invariant
-from tankrig.light.surface import lookup_error, many_to_camera, on_surface
+from tankrig.light.surface import in_larger_pixels, in_own_pixels, lookup_error, many_to_camera, on_surface
 from tankrig.prediction import ORDER_CLASSES, Prediction, Skipped
 from tankrig.scene import Medium, Scene
 from tankrig.scene.phase_table import PhaseFunction
@@ -45,6 +45,9 @@ with and without a dark picture's light; 1 to 2 % with 12 or 16), where cells fo
 ROUGH_PART = 0.35
 """Of the tolerance, that rough tables of order 2 may take: it leaves paths a fifteenth less, and saves up to half of
 the time where liquids are thin."""
+LARGER_MM, LARGER_ERROR = 1.0, 0.005
+"""Pixels that order 2 is computed in where a plain camera with a viewpoint has smaller ones, and what that errs by: .2
+to .5 % of order 2 in six scenes, 1.7 in a dense one, where it is little, in an eighth of the time at .25 mm."""
 GLANCED = 1.05
 """What the share of order 2 that a glance tells is multiplied by, to be no less than it is."""
 SHALLOWER = 0.55
@@ -255,14 +258,17 @@ def _as_rough_as_its_share(scene: Scene, first: Array, tolerance: float) -> tupl
 
     Where there is little of it, as a glance tells, rough tables do: they may take `ROUGH_PART` of the tolerance.
     """
+    larger, along = in_larger_pixels(scene, LARGER_MM) if tolerance >= FINE else (scene, 1)
+    apart = LARGER_ERROR if along > 1 else 0.0
     if may_be_rough(scene, tolerance):
-        glance = twice(scene, GLANCE_FROM)
+        glance = in_own_pixels(twice(larger, GLANCE_FROM), along)
         share = GLANCED * relative_norm(glance, first + glance)
         for roughness, error in ROUGH_ERRORS.items():
             if error * share <= ROUGH_PART * tolerance:
-                image = twice(scene, roughness)
-                return image, error * relative_norm(image, first + image)
-    return twice(scene, tolerance), table_error(scene, tolerance)
+                image = in_own_pixels(twice(larger, roughness), along)
+                return image, math.hypot(error, apart) * relative_norm(image, first + image)
+    image = in_own_pixels(twice(larger, tolerance), along)
+    return image, math.hypot(table_error(scene, tolerance), apart * relative_norm(image, first + image))
 
 
 def _tail(scene: Scene, tolerance: float, seed: int) -> Tail | Callable[[], Tail] | None:
