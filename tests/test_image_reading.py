@@ -102,7 +102,7 @@ def write(path: Path) -> None:
     ("name", "words"),
     [
         ("missing.png", "No such file"),
-        ("folder.tif", "directory"),
+        ("folder.tif", "is a folder; give an image file in it"),
         ("photo.jpg", "convert"),
         ("eight bits.png", "8 bits"),
         ("eight bits.tif", "8 bits"),
