@@ -314,6 +314,8 @@ def test_small_pixels_show_order_2_of_larger_ones_between_them(number: int) -> N
     larger, along = in_larger_pixels(fine, 1.0)
     assert (along, larger.camera.shape) == (2, (160, 240))
     assert in_larger_pixels(scene, 1.0) == (scene, 1)
+    beyond = replace(fine, camera=replace(fine.camera, shape=(330, 480)))  # cubics would ring at the tank's edge
+    assert in_larger_pixels(beyond, 1.0) == (beyond, 1)
     found, whole = tank_image(fine, 0.01, max_order=2), double_scattering(fine, 0.01)
     assert relative(found.orders[2] - whole, whole) < 0.02
     (said,) = (one.bound for one in found.skipped if one.what.startswith("tables"))

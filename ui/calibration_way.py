@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 GEOMETRY = ("camera", "tank", "projector")
 CALIBRATIONS = ("radiometry", "stray", *GEOMETRY, "latency")
 """In the order in which they rest on each other."""
-PUMP_IS_EXACT, EXACT = "simulated-doser", "it is simulated, and its steps are exact"
+EXACT_PUMP, WHY_EXACT = "simulated-doser", "it is simulated, and its steps are exact"
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def _pump(description: "RigFile") -> Step:
     what = "the pump is calibrated"
     if file := description.doser.get("calibration"):
         return Step(what, True, Path(str(file)).name)
-    if description.doser["driver"] == PUMP_IS_EXACT:
-        return Step(what, True, EXACT)
+    if description.doser["driver"] == EXACT_PUMP:
+        return Step(what, True, WHY_EXACT)
     finding = "nobody has weighed its doses; its nominal volume is believed"
     return Step(what, None, finding, f"tankrig calibrate pump {RIG}")

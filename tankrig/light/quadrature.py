@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 Rule = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Nodes and weights on [−1, 1]."""
 
+PANEL = 0.5
+"""Free paths along a line of sight that two nodes are enough for: they err by 1e-5 of the light there."""
+
 
 @cache
 def gauss_legendre(count: int) -> Rule:
@@ -39,10 +42,6 @@ class PixelRules(NamedTuple):
 
     x: Rule
     sights: SightRules
-
-
-PANEL = 0.5
-"""Free paths of a line of sight that two nodes are enough for: 1e-5 of the light there."""
 
 
 def pixel_rules() -> PixelRules:

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tankrig.compiled import kernel
+from tankrig.light.columns import MOST_BREAKS, MOST_NODES, MOST_PARTS, fill_breaks, fill_nodes, kinked
 from tankrig.light.cuts import CUTS, rows_of_ends
 from tankrig.light.line_of_sight import (
     FAINT,
-    MOST_BREAKS,
-    MOST_NODES,
-    MOST_PARTS,
     MOST_ROWS,
     SHORT,
     SharpBeam,
@@ -24,9 +22,6 @@ from tankrig.light.line_of_sight import (
     course,
     cut_off,
     ever_cut_off,
-    fill_breaks,
-    fill_nodes,
-    kinked,
     rows_cut_off,
     strays,
 )

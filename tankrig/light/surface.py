@@ -57,7 +57,7 @@ def on_surface(scene: Scene, cell_mm: float | None = None) -> Scene:
 def in_larger_pixels(scene: Scene, most_mm: float) -> tuple[Scene, int]:
     """The scene with a plain camera of larger pixels where its own are small, and how many of its own along their side.
 
-    The tank ends with a pixel of either, so that `in_own_pixels` finds no edge between them; 1 where no larger ones do.
+    1 where the camera sees beyond the tank, or no whole larger pixels make it up: `in_own_pixels` knows no edges.
 
     Parameters
     ----------
@@ -76,12 +76,13 @@ def in_larger_pixels(scene: Scene, most_mm: float) -> tuple[Scene, int]:
     (4, (160, 240))
     """
     camera, (length, width, _) = scene.camera, scene.tank.size_mm
-    for along in range(int(most_mm / camera.pixel_mm + 1e-9) if camera.kind == "pinhole" else 1, 1, -1):
-        side = along * camera.pixel_mm
-        whole = all(abs(size / side - round(size / side)) < 1e-6 for size in (length, width))
-        if whole and not any(count % along for count in camera.shape):
-            shape = camera.shape[0] // along, camera.shape[1] // along
-            return replace(scene, camera=replace(camera, shape=shape, pixel_mm=side)), along
+    rows, columns = camera.shape
+    beyond = rows * camera.pixel_mm > width + 1e-6 or columns * camera.pixel_mm > length + 1e-6
+    most = 1 if camera.kind != "pinhole" or beyond else int(most_mm / camera.pixel_mm + 1e-9)
+    for along in range(most, 1, -1):
+        if rows % along == 0 and columns % along == 0:
+            shape = rows // along, columns // along
+            return replace(scene, camera=replace(camera, shape=shape, pixel_mm=along * camera.pixel_mm)), along
     return scene, 1
 
 

@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from tankrig.light.columns import MOST_PARTS
 from tankrig.light.compiled_beside import paths_compiled_beside
 from tankrig.light.double import (
     GLANCE_FROM,
@@ -22,7 +23,6 @@ from tankrig.light.double import (
 from tankrig.light.entering import edged_and_smooth, entering, is_plain, through_lens
 from tankrig.light.high_orders import LOST_USUALLY, MOST_ORDERS, Allowance, Tail, beyond_orders, high_orders
 from tankrig.light.leaving import CameraLens
-from tankrig.light.line_of_sight import MOST_PARTS
 from tankrig.light.moments.plan import FINE, MomentPlan, moment_plan
 from tankrig.light.order_one import once, once_seen, once_sent_back, once_through
 from tankrig.light.paths.cells import CellGrid
@@ -260,14 +260,18 @@ def _as_rough_as_its_share(scene: Scene, first: Array, tolerance: float) -> tupl
     """
     larger, along = in_larger_pixels(scene, LARGER_MM) if tolerance >= FINE else (scene, 1)
     apart = LARGER_ERROR if along > 1 else 0.0
+
+    def second(tolerance: float) -> Array:
+        return np.maximum(in_own_pixels(twice(larger, tolerance), along), 0.0)
+
     if may_be_rough(scene, tolerance):
-        glance = in_own_pixels(twice(larger, GLANCE_FROM), along)
+        glance = second(GLANCE_FROM)
         share = GLANCED * relative_norm(glance, first + glance)
         for roughness, error in ROUGH_ERRORS.items():
             if error * share <= ROUGH_PART * tolerance:
-                image = in_own_pixels(twice(larger, roughness), along)
+                image = second(roughness)
                 return image, math.hypot(error, apart) * relative_norm(image, first + image)
-    image = in_own_pixels(twice(larger, tolerance), along)
+    image = second(tolerance)
     return image, math.hypot(table_error(scene, tolerance), apart * relative_norm(image, first + image))
 
 

@@ -9,7 +9,7 @@ from tankrig.calibration.how_well import how_well
 from tankrig.calibration.places import measured_places
 from tankrig.errors import StoreError, TankrigError
 from tankrig.live.formatting import with_error
-from ui.calibration_way import EXACT, PUMP_IS_EXACT
+from ui.calibration_way import EXACT_PUMP, WHY_EXACT
 from ui.window.result import CONFIDENCE, Z
 from ui.window.words import calibrated
 
@@ -140,8 +140,8 @@ def _weighed(rig: "RigFile", folder: Path) -> Iterator[Known]:
             + ("in use" if used else f'not in use: put calibration = "./{file.name}" into [doser]'),
         )
     if not files:
-        exact = rig.doser["driver"] == PUMP_IS_EXACT
-        yield Known("pump, weighed", *(("not needed", EXACT) if exact else NOT_YET))
+        exact = rig.doser["driver"] == EXACT_PUMP
+        yield Known("pump, weighed", *(("not needed", WHY_EXACT) if exact else NOT_YET))
 
 
 def _believed(rig: "RigFile") -> Iterator[tuple[str, str]]:

@@ -263,7 +263,7 @@ def share_within(height: float, reached: float, apart: float, depth: float) -> f
 
 @part
 def _grown(deeper: float, wide2: float) -> float:
-    """w times the exponential of the inverse hyperbolic sine of so many mm over w, from w²."""
+    """d + √(d² + w²) = w exp(asinh(d/w)) of a length d and w², without the cancellation where d is negative."""
     root = math.sqrt(deeper * deeper + wide2)
     return deeper + root if deeper > 0.0 else wide2 / (root - deeper)
 
